@@ -30,6 +30,7 @@ ROOT = Path(__file__).parents[1]
 SCRIPTS = {
     "simulator": "simulator",
     "filters": "filters",
+    "circuit": "circuit",
     "training": "training_page",
     "loihi": "loihi",
     "deploy": "deploy",

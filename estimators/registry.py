@@ -18,6 +18,7 @@ from quadsim.imu.spec import ImuSpec, load_imu
 from quadsim.runs.fingerprint import ASSETS
 from quadsim.vehicle import Vehicle, load_vehicle
 
+from .circuit.file import is_circuit, load_circuit, shipped_circuits
 from .custom import declared, is_custom, own
 from .filters.parameter import Parameter, checked
 from .networks.weights_file import END, load_network, shipped_controllers, shipped_names
@@ -70,7 +71,8 @@ def parameters(name: str) -> Mapping[str, Parameter]:
 
 def is_weights(name: str) -> bool:
     """Whether a name is that of a network's weights: a path, or a name under which some ship."""
-    return name.endswith(".safetensors") or (name in shipped_names() and name not in NETWORKS)
+    ships = name in (*shipped_names(), *shipped_circuits())
+    return name.endswith(".safetensors") or (ships and name not in NETWORKS)
 
 
 def create(
@@ -101,7 +103,8 @@ def create(
         ValueError: For an unknown name or parameter, naming the valid ones, and for values out of range.
     """
     if is_weights(name):
-        return _network(load_network(name)[0].model, rate_hz, params | {"weights": name})
+        model = "att-snn" if is_circuit(name) else load_network(name)[0].model
+        return _network(model, rate_hz, params | {"weights": name})
     if name in NETWORKS:
         SAMPLE_RATE.of("rate_hz", rate_hz)
         return _network(name, rate_hz, params)
@@ -165,10 +168,12 @@ def training_misfit(name: str, vehicle: str | Path | Vehicle) -> str:
         vehicle: The simulated vehicle, as in `create`.
     """
     network = name.removesuffix("-loihi")
-    if network not in (*shipped_names(), *shipped_controllers()) and not network.endswith(END):
+    ships = network in (*shipped_names(), *shipped_circuits(), *shipped_controllers())
+    if not ships and not network.endswith(END):
         return ""
     try:
-        trained, (airframe, _) = load_network(network)[0].training.get("vehicles"), loaded(vehicle, None)
+        config = load_circuit(network)[0] if is_circuit(network) else load_network(network)[0]
+        trained, (airframe, _) = config.training.get("vehicles"), loaded(vehicle, None)
     except (OSError, ValueError):  # it cannot fly, which its flight reports
         return ""
     if not isinstance(trained, list) or not trained or airframe is None or airframe.name in trained:
@@ -257,7 +262,7 @@ def airframe_constants(name: str, vehicle: str | Path | Vehicle | None) -> dict[
 
 def _shipped(name: str) -> Entry:
     if name not in SHIPPED:
-        known = dict.fromkeys([*names(), *shipped_names()])
+        known = dict.fromkeys([*names(), *shipped_names(), *shipped_circuits()])
         raise ValueError(f'unknown estimator "{name}"; {nearest(name, known)}')
     return SHIPPED[name]
 
@@ -268,6 +273,7 @@ def needs_vehicle(name: str) -> bool:
 
 
 def _network(name: str, rate_hz: float, params: Mapping[str, object]) -> AttitudeEstimator:
+    from .circuit.estimator import circuit_estimator
     from .networks.network import create_network
 
     for key in params:
@@ -276,4 +282,7 @@ def _network(name: str, rate_hz: float, params: Mapping[str, object]) -> Attitud
     weights = params.get("weights")
     if not isinstance(weights, str | Path | None):
         raise ValueError(f"{name}: weights = {weights!r} is not a path")
+    if weights is not None and is_circuit(weights):
+        config, circuit = load_circuit(weights)
+        return circuit_estimator(name, circuit, config.steps_per_sample, rate_hz)
     return create_network(name, rate_hz, weights=weights)

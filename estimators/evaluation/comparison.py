@@ -16,6 +16,8 @@ from quadsim.imu.spec import ImuSpec
 from quadsim.runs.files import write_csv
 from quadsim.vehicle import Vehicle
 
+from ..circuit.estimator import Level
+from ..circuit.file import is_circuit
 from ..metrics import (
     Summary,
     attitude_error,
@@ -269,6 +271,8 @@ def silenced_twin(name: str, rate_hz: float = 200.0) -> NetworkEstimator | None:
     """The network of a name or of a path of weights, with output weights of zero; None for others."""
     if name not in (*NETWORKS, *shipped_names()) and not is_weights(name):
         return None
+    if is_circuit(name):
+        return NetworkEstimator(Level(), rate_hz)
     config, tensors = load_network(name.removesuffix("-loihi"))
     core = {"att-rnn": Recurrent, "att-snn": OnLoihi if name.endswith("-loihi") else Spiking}[config.model]
     return NetworkEstimator(core(config, silenced(config, tensors)), rate_hz)

@@ -56,7 +56,7 @@ class NetworkCore(Protocol):
     """Record type of a vehicle's state, whose numbers are all of one type; `encoder_fields` come first."""
     outputs: int
     """2: roll and pitch [rad]; 3: the world's up in body axes, less `LEVEL_UP`, or angular acceleration."""
-    arrays: tuple[NDArray[Any], ...]
+    arrays: tuple[Any, ...]
     """What the kernel needs to know of it."""
     kernel: Callable[..., None]
     """Compiled: takes T samples of n vehicles, body rate and specific force (n, 3 T) and a controller's

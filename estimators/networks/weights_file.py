@@ -208,10 +208,10 @@ def save_network(path: str | Path, config: NetworkConfig, tensors: Mapping[str, 
     plain = {name: np.ascontiguousarray(value) for name, value in tensors.items()}
     unused = None if config.controls else {"set_point", "reads"}
     metadata = {"format": FORMAT, "config": config.model_dump_json(exclude=unused)}
-    write_whole(path, _ordered(save(plain, metadata=metadata)))
+    write_whole(path, ordered(save(plain, metadata=metadata)))
 
 
-def _ordered(content: bytes) -> bytes:
+def ordered(content: bytes) -> bytes:
     """A safetensors file with the keys of its header sorted; the library's order of metadata is random."""
     size = int.from_bytes(content[:8], "little")
     header = json.loads(content[8 : 8 + size])

@@ -85,9 +85,10 @@ def items(kind: Kind) -> list[Item]:
 
             return [Item("cascaded", CASCADED), *_weights(shipped_controllers())]
         case Kind.WEIGHTS:
+            from estimators.circuit.file import shipped_circuits
             from estimators.networks.weights_file import shipped_controllers, shipped_names
 
-            return _weights([*shipped_names(), *shipped_controllers()])
+            return _weights([*shipped_circuits(), *shipped_names(), *shipped_controllers()])
     from ..config.toml import preset_names, shipped_folder
 
     root = shipped_folder(kind)
@@ -97,8 +98,8 @@ def items(kind: Kind) -> list[Item]:
 
 
 def _weights(names: Iterable[str]) -> list[Item]:
-    cards = ASSETS / "weights"
-    return [Item(name, card_summary((cards / f"{name}.md").read_text("utf-8"))) for name in names]
+    cards = {card.stem: card for card in ASSETS.glob("*/*.md")}
+    return [Item(name, card_summary(cards[name].read_text("utf-8"))) for name in names]
 
 
 def summary(file: Path) -> str:

@@ -98,6 +98,7 @@ def export(
 
     Example: quadsim export flight.ulg --format zarr --out data/mine.zarr
     """
+    from estimators.circuit.file import is_circuit
     from estimators.export.formats import FORMATS, export_weights
     from estimators.networks.weights_file import END, shipped_controllers, shipped_names
 
@@ -108,8 +109,8 @@ def export(
         return
     if len(source) > 1:
         raise ValueError(f"--format {format} is of one dataset or network, not of {len(source)}")
-    names_weights = source[0].endswith(END) or source[0] in (*shipped_names(), *shipped_controllers())
-    if names_weights or format in FORMATS:
+    shipped = is_circuit(source[0]) or source[0] in (*shipped_names(), *shipped_controllers())
+    if shipped or source[0].endswith(END) or format in FORMATS:
         export_weights(source[0], out, format)
     else:
         with progress_bar("export", "flights") as progress:

@@ -36,7 +36,13 @@ def train(
             "Controllers take none."
         ),
     ] = None,
-    model: Annotated[str, typer.Option(help="Type of network: att-snn or att-rnn.")] = "att-snn",
+    model: Annotated[
+        str,
+        typer.Option(
+            help="circuit: the spiking circuit that follows turns, which ships as att-snn-circuit. "
+            "att-snn, att-rnn: networks of layers, as in the paper."
+        ),
+    ] = "att-snn",
     preset: Preset = "paper",
     validation: Annotated[
         list[Path] | None,
@@ -57,17 +63,20 @@ def train(
     set_: Fields = None,
     seed: LearningSeed = 0,
 ) -> None:
-    """Train Att-SNN in the chip's arithmetic, or the GRU network Att-RNN.
+    """Train a spiking network for the chip, or its twin in floats.
 
-    The run folder gets the best weights, the losses of each epoch and their plot. Ctrl-C keeps the best
-    weights, and the same command continues the run. The default preset is the paper's recipe. The preset
+    --model circuit trains the spiking circuit that ships, for any IMU, from the equation of gravity in a
+    turning frame. Other models are networks of layers, by default with the paper's recipe. The preset
     hummingbird is more accurate for one airframe and IMU, best for any IMU. control-attitude and
     control-separate train attitude controllers by imitation, and generate their own flights.
+
+    The run folder gets the weights, the losses and their plot. Ctrl-C keeps what there is, and the same
+    command continues the run.
 
     With --folds, the command writes the paper's Table 1 (table1.csv), all folds (kfold.csv) and a run folder
     for each fold. --workers sets the number of folds that run in parallel.
 
-    Example: quadsim train --preset best --data data/train.zarr --validation data/val.zarr --out runs/snn
+    Example: quadsim train --model circuit --data data/train.zarr --validation data/val.zarr --out runs/snn
 
     Example: quadsim train --data data/train.zarr --data data/train-px4.zarr --folds 5 --out runs/kfold
     """
@@ -76,7 +85,9 @@ def train(
         choices["epochs"] = epochs
     if validation:
         choices["validation"] = tuple(map(str, validation))
-    if folds:
+    if model == "circuit":
+        _train_circuit(out, data or [], preset, folds, choices | {"seed": seed})
+    elif folds:
         _cross_validate(out, data or [], model, preset, folds, workers, choices | {"seed": seed})
     else:
         _train_network(out, data or [], model, preset, choices | {"seed": seed})
@@ -108,6 +119,25 @@ def _train_network(out: Path, data: list[Path], model: str, preset: str, choices
         console.print(f"loss before {result.before:.4g}, after {best.score:.4g}: {helped}", soft_wrap=True)
     if result.reason == INTERRUPTED:
         raise KeyboardInterrupt
+
+
+def _train_circuit(
+    out: Path, data: list[Path], preset: str, folds: int | None, choices: dict[str, Any]
+) -> None:
+    from training.circuit.loop import CircuitRun, Row, make_run, train_circuit
+
+    if folds or "epochs" in choices:
+        raise ValueError("--folds and --epochs are not for a circuit; its length is --set updates=13000")
+    run = make_run("att-snn-circuit" if preset == "paper" else preset, data=tuple(map(str, data)), **choices)
+    with progress_bar("train circuit", "updates") as bar:
+
+        def progress(row: Row, run: CircuitRun) -> None:
+            bar(row.updates, run.updates, f"error {math.degrees(row.loss):.2f}°")
+
+        weights, errors = train_circuit(run, out, progress)
+    for name, error in errors.items():
+        console.print(f"{name}: {error:.2f}° mean absolute error", soft_wrap=True)
+    console.print(f"{weights}: {run.updates} updates", soft_wrap=True)
 
 
 def _cross_validate(

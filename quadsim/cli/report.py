@@ -7,7 +7,7 @@ import typer
 from rich.table import Table
 
 from ..runs.console import output as console
-from ..runs.console import progress_bar
+from ..runs.console import print_table, progress_bar
 from ..runs.files import alone
 from .logs import show_log, show_mount
 from .options import Imu, Mount, Truth
@@ -66,13 +66,17 @@ def report(
 
     Example: quadsim report flight.ulg --find-mount best
     """
+    from estimators.circuit.file import is_circuit
     from estimators.networks.weights_file import END, shipped_names
     from scenarios.verbs import report_benchmark
 
     place = Path(path).expanduser()
     given = {"--out": out, "--verify": verify, "--data": data}
     given |= {"--mount": mount, "--truth": truth, "--imu": imu, "--find-mount": find_mount}
-    if place.suffix == END or path in shipped_names():
+    if is_circuit(path):
+        _refuse_others(given, "a circuit", "--data")
+        _report_circuit(path, data or [])
+    elif place.suffix == END or path in shipped_names():
         _refuse_others(given, "weights", "--out", "--data")
         _report_weights(path, data or [], out or Path("reports/inspect"))
     elif place.suffix == ".zarr" or (place / "zarr.json").exists():
@@ -113,6 +117,27 @@ def _report_dataset(path: Path, verify: bool, out: Path | None) -> None:
     console.print(table)
     if out is not None:
         console.print(f"{plot(path, out)}", soft_wrap=True)
+
+
+def _report_circuit(path: str, data: list[Path]) -> None:
+    from estimators.analysis.circuit import measure
+    from estimators.circuit.chip import place, populations
+    from estimators.circuit.file import load_circuit
+    from estimators.circuit.parameters import quantised
+    from scenarios.report.terminal import plain_table
+
+    config, parameters = load_circuit(path)
+    circuit = quantised(parameters, config.steps_per_sample)
+    parts = populations(circuit)
+    rows = [(each.name, each.neurons, each.compartments, each.synapses) for each in parts]
+    print_table(rows, ["population", "neurons", "compartments", "synapses"])
+    neurons, cores = sum(each.neurons for each in parts), place(circuit)
+    last = f"{path}: {neurons} neurons on {cores} of a chip's 128 cores"
+    if data:
+        found = measure(config, parameters, data)
+        console.print(plain_table(found.summary()))
+        last += f", error {found.error_deg:.2f}°"
+    console.print(last, soft_wrap=True)
 
 
 def _report_weights(weights: str, data: list[Path], out: Path) -> None:

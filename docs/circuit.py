@@ -1,0 +1,212 @@
+"""The page circuit.md: the spiking circuit that follows turns, part by part, at home and elsewhere."""
+
+from argparse import Namespace
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+from foreign import AIRFRAMES, foreign
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from pages import Page, Parts, row
+from recordings import BROAD, PHANTOM4, recordings, score
+from simulated import estimate_of, simulated
+
+from estimators import create
+from estimators.analysis.circuit import measure
+from estimators.circuit.chip import place, populations
+from estimators.circuit.estimator import SCALING, Level, circuit_estimator
+from estimators.circuit.file import load_circuit
+from estimators.circuit.floats import new_trace, run_floats, stepped
+from estimators.circuit.parameters import GRAVITY, OUTPUT, RATE_HZ, Parameters, quantised, untrained
+from estimators.circuit.spikes import SpikingCircuit
+from estimators.evaluation.flights import Flights, load_flights
+from estimators.evaluation.logs import RAW
+from estimators.metrics import attitude_error
+from estimators.networks.network import NetworkEstimator
+from quadsim.dataset.generation import generate
+from quadsim.dataset.reading import open_dataset
+from quadsim.estimator import AttitudeEstimator
+from quadsim.flight.recipe import load_recipe
+from quadsim.flight.scenario import changed
+from quadsim.runs.console import progress_bar
+
+Array = NDArray[np.float64]
+NAME = "att-snn-circuit"
+FLIGHTS, DURATION_S = 6, 60.0
+SETS = {
+    "rough px4-quad": ("robust", {"vehicle": "px4-quad"}, 8601),
+    "rough Crazyflie": ("robust", {"vehicle": "crazyflie"}, 8602),
+    "turbulence, raw IMU": ("turbulent", {"imu": "raw"}, 8603),
+    "steady wind": ("windy", {}, 8606),
+    "any Crazyflie, raw IMU": ("wide", {"vehicle": "crazyflie", "imu": "raw"}, 8613),
+    "carried": ("carried", {}, 8612),
+    "in the hand": ("hand-held", {}, 8608),
+    "tumbling": ("tumbling", {}, 8611),
+}
+"""New flights: recipe, what differs from it, and seed."""
+SCALE = (1.33, 1.21, 0.56, 1.23)
+"""Lengths of the untrained circuit's vectors, as `training.circuit.loop.scaled` finds them."""
+RESAMPLES = 4000
+
+
+def spiking(p: Parameters, steps: int = 4) -> NetworkEstimator:
+    """The circuit on spikes."""
+    return circuit_estimator("att-snn", p, steps)
+
+
+def held(p: Parameters, flights: Flights) -> Parameters:
+    """The circuit whose gates, after their start, stay as open as they are on average."""
+    trace, senses = new_trace(p, flights.gyro.shape[1], len(flights.gyro))
+    angle, force = (
+        np.ascontiguousarray(each.transpose(1, 2, 0), np.float32)
+        for each in (flights.gyro / RATE_HZ, flights.accel / GRAVITY)
+    )
+    run_floats(angle, force, stepped(p), trace, senses)
+    opened = np.clip(trace.opened, 0, 1).mean((0, 2))
+    return p._replace(gate=0 * p.gate, level=opened.astype(np.float64), onset=p.onset + p.level - opened)
+
+
+def estimators(home: Flights) -> dict[str, AttitudeEstimator]:
+    """What the table compares, in the order of its columns."""
+    config, p = load_circuit(NAME)
+    first = untrained()._replace(scale=np.array(SCALE))
+    return {
+        "untrained, floats": circuit_estimator("att-rnn", first),
+        "untrained, spikes": spiking(first),
+        "gates held": spiking(held(p, home)),
+        "floats": circuit_estimator("att-rnn", p),
+        "spikes": spiking(p, config.steps_per_sample),
+        "2 steps": spiking(p, 2),
+        "1 step": spiking(p, 1),
+        "silenced": NetworkEstimator(Level(), RATE_HZ),
+        "att-snn": create("att-snn"),
+        "att-rnn": create("att-rnn"),
+        "vqf": create("vqf"),
+        "imm": create("imm"),
+    }
+
+
+def flight_errors(est: AttitudeEstimator, flights: Flights) -> Array:
+    """Mean absolute error of roll and pitch of each flight, unknown initial attitude [deg]."""
+    return attitude_error(estimate_of(est, flights), flights.truth).sequences
+
+
+def domains(given: Namespace) -> dict[str, Callable[[Mapping[str, AttitudeEstimator]], dict[str, Array]]]:
+    """For each row what scores all estimators: the errors of its flights or recordings."""
+
+    def of(flights: Flights) -> Callable[[Mapping[str, AttitudeEstimator]], dict[str, Array]]:
+        return lambda made: {name: flight_errors(est, flights) for name, est in made.items()}
+
+    def recorded(name: str) -> Callable[[Mapping[str, AttitudeEstimator]], dict[str, Array]]:
+        def errors(made: Mapping[str, AttitudeEstimator]) -> dict[str, Array]:
+            table = score(name, sets[name], made).on_logs(RAW)
+            return {each: table.loc[each].to_numpy() for each in made}
+
+        return errors
+
+    sets = recordings(given.recordings)
+    found = {"Hummingbird": of(load_flights([simulated("test", given.data)]))}
+    for name, (recipe, changes, seed) in SETS.items():
+        path = given.data / f"circuit-{recipe}-{seed}.zarr"
+        chosen = changed(load_recipe(recipe), changes)
+        found[name] = of(load_flights([open_dataset(generate(chosen, FLIGHTS, DURATION_S, path, seed=seed))]))
+
+    def rotorpy(made: Mapping[str, AttitudeEstimator]) -> dict[str, Array]:
+        parts = [load_flights([foreign(airframe, given.data)]) for airframe in AIRFRAMES]
+        return {
+            name: np.concatenate([flight_errors(est, part) for part in parts]) for name, est in made.items()
+        }
+
+    return found | {"RotorPy": rotorpy, BROAD: recorded(BROAD), PHANTOM4: recorded(PHANTOM4)}
+
+
+def interval(errors: Array) -> str:
+    """95 % interval of the mean of flights, by the bootstrap."""
+    rng = np.random.default_rng(0)
+    means = rng.choice(errors, (RESAMPLES, len(errors))).mean(1)
+    return "–".join(f"{each:.2f}" for each in np.quantile(means, (0.025, 0.975)))
+
+
+def turn(page: Page) -> None:
+    """Draw the spikes of a turn: the gyroscope's, a vector's and the estimate."""
+    config, p = load_circuit(NAME)
+    t = np.arange(400) / RATE_HZ
+    rate = np.where((t > 0.5) & (t < 1.0), np.pi, 0.0)
+    roll = np.cumsum(rate) / RATE_HZ
+    gyro = np.stack([rate, 0 * t, 0 * t], 1)[None]
+    accel = GRAVITY * np.stack([0 * t, np.sin(roll), np.cos(roll)], 1)[None]
+    steps = config.steps_per_sample
+    core = SpikingCircuit(SCALING, quantised(p, steps), OUTPUT, steps, p.scale[OUTPUT])
+    est = NetworkEstimator(core, RATE_HZ)
+    for _ in range(400):
+        est.update(np.zeros((1, 3)), GRAVITY * np.array([[0.0, 0.0, 1.0]]))
+    before, states = est.states[0].copy(), []
+    for k in range(400):
+        est.update(gyro[:, k], accel[:, k])
+        states.append(est.states[0].copy())
+    x = np.array([state["x"].reshape(-1, 3)[OUTPUT] for state in states]) * p.scale[OUTPUT] / 2**20
+    counts = np.diff([before["events"], *(state["events"] for state in states)], axis=0)
+    figure = Figure(figsize=(8, 5.5), layout="constrained")
+    top, middle, bottom = figure.subplots(3, 1, sharex=True)
+    top.plot(t, np.degrees(rate))
+    top.set_ylabel("roll rate [°/s]")
+    for kind, number in (("gyroscope", 0), ("vectors", 1), ("coincidences", 2), ("innovations", 3)):
+        middle.plot(t, counts[:, number], lw=0.8, label=kind)
+    middle.set_ylabel("spikes a sample")
+    middle.set_ylim(0, 130)
+    middle.legend(ncols=4, frameon=False, loc="upper left")
+    bottom.plot(t, np.degrees(np.arctan2(x[:, 1], x[:, 2])), label="estimated")
+    bottom.plot(t, np.degrees(roll), "--", label="true")
+    bottom.set_ylabel("roll [°]")
+    bottom.set_xlabel("time [s]")
+    bottom.legend(frameon=False)
+    page.save(figure, "circuit-turn.png", dpi=110)
+
+
+def neurons() -> list[str]:
+    """The populations of the circuit that ships."""
+    config, p = load_circuit(NAME)
+    circuit = quantised(p, config.steps_per_sample)
+    parts = populations(circuit)
+    lines = [row(each.name, each.neurons, each.compartments, each.synapses) for each in parts]
+    counts = [(each.neurons, each.compartments, each.synapses) for each in parts]
+    total = np.sum(counts, 0).tolist()
+    assert total[0] <= 1024, total
+    assert place(circuit) <= 2
+    return [*lines, row("all", *total)]
+
+
+def spikes(data: Path) -> list[str]:
+    """What the circuit does on the Hummingbird's test flights."""
+    simulated("test", data)
+    config, p = load_circuit(NAME)
+    return [row(*each) for each in measure(config, p, [data / "test.zarr"]).summary()]
+
+
+def values(page: Page, given: Namespace) -> Parts:
+    """Measure everything, and draw."""
+    home = load_flights([simulated("train", given.data)], 8)
+    made, rows, costs = estimators(home), [], {}
+    sets = domains(given)
+    with progress_bar("circuit", "sets") as bar:
+        for k, (name, scored) in enumerate(sets.items()):
+            bar(k, len(sets), name)
+            errors = scored(made)
+            cells = [f"{np.nanmean(errors[each]):.2f}" for each in made]
+            rows.append(row(name, *cells, interval(errors["spikes"])))
+            costs[name] = float(np.nanmean(errors["spikes"]) - np.nanmean(errors["floats"]))
+    turn(page)
+    worst = max(costs, key=lambda name: costs[name])
+    training = load_circuit(NAME).config.training
+    return {
+        "columns": row("set", *made, "95 % of spikes"),
+        "ruler": row(*["---"] * (len(made) + 2)),
+        "table": rows,
+        "neurons": neurons(),
+        "spikes": spikes(given.data),
+        "worst": worst,
+        "worst-cost": f"{costs[worst]:.2f}",
+        "median-cost": f"{np.median(list(costs.values())):.2f}",
+        "training-flights": str(training["training_flights"]),
+    }

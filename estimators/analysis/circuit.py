@@ -1,0 +1,83 @@
+"""What a circuit makes of flights: its error, its spikes, and a modelled energy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from quadsim.dataset.reading import open_dataset
+
+from ..circuit.chip import populations
+from ..circuit.estimator import circuit_estimator
+from ..circuit.file import CircuitConfig
+from ..circuit.parameters import RATE_HZ, Parameters, quantised
+from ..circuit.spikes import ANGLE_DIGITS, EVENTS, Circuit
+from ..evaluation.flights import load_flights
+from ..metrics import absolute_error
+from .energy import PICOJOULES
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A circuit over recorded flights."""
+
+    error_deg: float
+    """Mean absolute error of roll and pitch, unknown initial attitude."""
+    spikes: dict[str, float]
+    """Spikes by kind [1/s]."""
+    synaptic_events: float
+    """A step."""
+    nanojoules: float
+    """Modelled dynamic energy of a step (Davies et al. 2018, see `estimators.analysis.energy`)."""
+
+    def summary(self) -> list[tuple[str, str]]:
+        """What a terminal shows."""
+        return [
+            *((f"spikes of {kind}", f"{rate:,.0f} /s") for kind, rate in self.spikes.items()),
+            ("all spikes", f"{sum(self.spikes.values()):,.0f} /s"),
+            ("synaptic events", f"{self.synaptic_events:.0f} a step"),
+            ("modelled dynamic energy", f"{self.nanojoules:.0f} nJ a step"),
+            ("error", f"{self.error_deg:.2f}°"),
+        ]
+
+
+def measure(config: CircuitConfig, p: Parameters, data: Sequence[str | Path]) -> Measured:
+    """Run a circuit on spikes over the flights of datasets."""
+    flights = load_flights([open_dataset(path) for path in data])
+    estimator = circuit_estimator("att-snn", p, config.steps_per_sample, flights.rate_hz)
+    estimator.reset(len(flights.gyro))
+    error = absolute_error(estimator.sequence(flights.gyro, flights.accel), flights.truth)
+    steps = flights.gyro.shape[0] * flights.gyro.shape[1] * config.steps_per_sample
+    counts = estimator.states["events"].sum(0, dtype=np.int64)
+    circuit = quantised(p, config.steps_per_sample)
+    compartments = sum(each.compartments for each in populations(circuit))
+    events = synaptic_events(circuit, dict(zip(EVENTS, counts / steps, strict=True)))
+    spikes = float(counts.sum()) / steps + 1  # and the ring's
+    active = PICOJOULES["active neuron update"] - PICOJOULES["inactive neuron update"]
+    picojoules = events * PICOJOULES["synaptic event"] + compartments * PICOJOULES["inactive neuron update"]
+    picojoules += spikes * (active + PICOJOULES["spike within a tile"])
+    rates = counts / steps * config.steps_per_sample * RATE_HZ
+    return Measured(
+        float(np.nanmean(error)), dict(zip(EVENTS, map(float, rates), strict=True)), events, picojoules / 1000
+    )
+
+
+def synaptic_events(circuit: Circuit, spikes: dict[str, float]) -> float:
+    """Synapses that spikes pass, from spikes of each kind; the ring's own included."""
+    vectors, gates, felt = len(circuit.start), len(circuit.gate), 18
+    reached = {
+        "angles": 4 * vectors + 2,
+        "forces": vectors + gates + 4,
+        "vectors": vectors + gates + 4 * ANGLE_DIGITS + 4 * len(circuit.learn) / vectors,
+        "coincidences": 3,
+        "innovations": vectors + 4 * len(circuit.learn) / gates,
+        "gates": 0,
+        "felt": gates,
+        "bias": 0,
+        "learning": 1,
+    }
+    ring = gates + felt + 1
+    return ring + sum(reached[kind] * count for kind, count in spikes.items())

@@ -1,0 +1,60 @@
+"""The circuit as an estimator: att-snn on spikes, att-snn-loihi if it fits the chip, att-rnn in floats."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from quadsim.runs.compiled import njit
+
+from ..networks.encoder import ENCODER, INPUT_ONE, Scaling, encode_sample
+from ..networks.network import NetworkEstimator
+from .chip import place
+from .floats import FloatCircuit
+from .parameters import GRAVITY, OUTPUT, RATE_HZ, Parameters, quantised
+from .spikes import SpikingCircuit
+
+GYRO_RANGE = INPUT_ONE * 2.0**-17 * RATE_HZ
+"""Body rate of an input of 1.0 [rad/s]: an integer input is a multiple of 2^-17 rad a sample."""
+SCALING = Scaling(np.zeros(6), INPUT_ONE / np.array([GYRO_RANGE] * 3 + [GRAVITY] * 3))
+
+
+def circuit_estimator(name: str, p: Parameters, steps: int = 4, rate_hz: float = RATE_HZ) -> NetworkEstimator:
+    """An estimator that runs a circuit.
+
+    Args:
+        name: "att-snn", "att-snn-loihi" or "att-rnn".
+        p: Its parameters.
+        steps: Steps of the chip a sample, 1, 2 or 4.
+        rate_hz: Samples per second.
+
+    Raises:
+        ValueError: Another sample rate, or a circuit that does not fit the chip ("att-snn-loihi").
+    """
+    if not np.isclose(rate_hz, RATE_HZ):
+        raise ValueError(f"{name}: the circuit is for {RATE_HZ:g} Hz, not for {rate_hz:g} Hz")
+    if name == "att-rnn":
+        return NetworkEstimator(FloatCircuit(SCALING, p), RATE_HZ)
+    circuit = quantised(p, steps)
+    if name == "att-snn-loihi":
+        place(circuit)
+    return NetworkEstimator(SpikingCircuit(SCALING, circuit, OUTPUT, steps, p.scale[OUTPUT]), RATE_HZ)
+
+
+class Level:
+    """Any network with a silent output: the estimate is always level. A `NetworkCore`."""
+
+    outputs = 3
+    state = ENCODER
+
+    def __init__(self) -> None:
+        self.arrays, self.kernel = (np.ravel(SCALING),), _count_missing
+
+
+@njit(cache=True)
+def _count_missing(gyro, accel, set_points, scaling, states, out):
+    """See `NetworkCore`."""
+    out[:] = 0
+    scales = Scaling(scaling[:6], scaling[6:])
+    for c in range(gyro.shape[0]):
+        for t in range(0, gyro.shape[1], 3):
+            encode_sample(gyro[c, t : t + 3], accel[c, t : t + 3], scales, states[c])

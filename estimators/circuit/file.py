@@ -1,0 +1,123 @@
+"""The circuit on disk: a safetensors file of its parameters in floats, from which spikes are derived."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal, NamedTuple
+
+import numpy as np
+from pydantic import Field, JsonValue, ValidationError
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
+
+from quadsim.config.ranges import Between
+from quadsim.config.toml import Strict, describe
+from quadsim.runs.files import write_whole
+from quadsim.runs.fingerprint import ASSETS
+
+from ..networks.weights_file import END, ordered
+from .parameters import Parameters, expected_shapes
+
+FORMAT = "circuit-1"
+SHIPPED = ASSETS / "circuits"
+"""Where the circuits are that ship."""
+
+
+class CircuitConfig(Strict):
+    """What a file says of a circuit beside its numbers."""
+
+    vectors: Annotated[int, Between(4, 64)]
+    """Vectors that turn."""
+    gates: Annotated[int, Between(8, 256)]
+    """Gated innovations."""
+    steps_per_sample: Literal[1, 2, 4] = 4
+    """Steps of the chip for each IMU sample."""
+    training: dict[str, JsonValue] = Field(default_factory=dict)
+    """Data, seed, updates, commit, validation error."""
+
+
+class CircuitFile(NamedTuple):
+    """A circuit as its file holds it."""
+
+    config: CircuitConfig
+    parameters: Parameters
+
+
+def save_circuit(path: str | Path, config: CircuitConfig, p: Parameters) -> None:
+    """Write a circuit.
+
+    Raises:
+        ValueError: Parameters that do not fit the configuration, or are not finite.
+    """
+    _check(path, config, p._asdict())
+    tensors = {name: np.ascontiguousarray(value) for name, value in p._asdict().items()}
+    metadata = {"format": FORMAT, "config": config.model_dump_json()}
+    write_whole(path, ordered(save(tensors, metadata=metadata)))
+
+
+def is_circuit(path: str | Path) -> bool:
+    """Whether a file, or a name that ships, is a circuit and not a network of layers."""
+    file = _place(path)
+    if not file.is_file():
+        return False
+    try:
+        with safe_open(file, framework="numpy") as content:
+            return (content.metadata() or {}).get("format") == FORMAT
+    except SafetensorError:
+        return False
+
+
+def load_circuit(path: str | Path) -> CircuitFile:
+    """Read a circuit that `save_circuit` wrote.
+
+    Args:
+        path: The file, or "att-snn-circuit", the one that ships.
+
+    Raises:
+        FileNotFoundError: No such file.
+        ValueError: One line: not such a file, or tensors of the wrong shape or type.
+    """
+    file = _place(path)
+    if not file.is_file():
+        raise FileNotFoundError(f"{path}: no such file of a circuit; the one that ships is att-snn-circuit")
+    try:
+        with safe_open(file, framework="numpy") as content:
+            metadata = content.metadata() or {}
+            if metadata.get("format") != FORMAT:
+                raise ValueError(f"{path}: not a circuit, which quadsim train --model circuit makes")
+            config = CircuitConfig.model_validate_json(metadata["config"])
+            declared = {name: tuple(content.get_slice(name).get_shape()) for name in content.keys()}  # noqa: SIM118
+            if wrong := [name for name in Parameters._fields if name not in declared]:
+                raise ValueError(f"{path}: tensor {wrong[0]} is missing")
+            tensors = {name: content.get_tensor(name) for name in Parameters._fields}
+    except (SafetensorError, KeyError) as error:
+        raise ValueError(f"{path}: not a safetensors file of a circuit ({error})") from error
+    except ValidationError as error:
+        raise ValueError(f"{path}: {describe(error, CircuitConfig)}") from error
+    _check(path, config, tensors)
+    return CircuitFile(config, Parameters(**tensors))
+
+
+def shipped_circuits() -> list[str]:
+    """Names of the circuits that ship with the package."""
+    return sorted(each.stem for each in SHIPPED.glob(f"*{END}"))
+
+
+def _place(path: str | Path) -> Path:
+    return SHIPPED / f"{path}{END}" if str(path) in shipped_circuits() else Path(path)
+
+
+def _check(path: str | Path, config: CircuitConfig, tensors: dict[str, np.ndarray]) -> None:
+    for name, shape in expected_shapes(config.vectors, config.gates, len(tensors["pairs"])).items():
+        value = tensors[name]
+        if value.shape != shape:
+            raise ValueError(f"{path}: tensor {name} has shape {value.shape}, should be {shape}")
+        if value.dtype != (np.int64 if name == "pairs" else np.float64):
+            raise ValueError(f"{path}: tensor {name} is {value.dtype}")
+        if not np.isfinite(value).all():
+            raise ValueError(f"{path}: tensor {name} has values that are not finite")
+    limits = np.array([config.vectors, config.gates])
+    if np.any(tensors["pairs"] < 0) or np.any(tensors["pairs"] >= limits):
+        raise ValueError(f"{path}: pairs name a vector or a gate that is not there")
+    if np.any(tensors["tau"] <= 0) or np.any(tensors["scale"] <= 0):
+        raise ValueError(f"{path}: tau and scale should be above 0")

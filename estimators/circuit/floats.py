@@ -1,0 +1,252 @@
+"""Att-RNN: the circuit in floats, which the trainer also runs; n copies side by side.
+
+The equations are those of `estimators.circuit.parameters`, with one Euler step a sample; the turn is
+x - θ × x + θ × (θ × x) / 2 for an angle θ = (ω - b) dt. Arrays have the copies last: (time, axis, copy).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadsim.runs.compiled import njit
+
+from ..networks.encoder import INPUT_ONE, MISSING, Scaling, encode_sample, encoder_fields
+from .parameters import FELT, FELT_RATE, FELT_S, OUTPUT, RATE_HZ, Parameters
+
+F = np.float32
+Floats = NDArray[np.float32]
+DT = F(1 / RATE_HZ)
+_FELT_STEP, _FELT_TURN = F(1 / (RATE_HZ * FELT_S)), F(RATE_HZ / FELT_RATE)
+CHUNK = 500
+"""Samples that an estimator takes at once; what it needs to keep of them is bounded."""
+
+
+class Steps(NamedTuple):
+    """Parameters for the kernels: float32, a step's worth; an axis of length 3 is the body's."""
+
+    mix: Floats  #: (3, V, V)
+    pull: Floats  #: (3, V)
+    give: Floats  #: (Q, 3, V)
+    take: Floats  #: (Q, 3, V)
+    read: Floats  #: (Q, 3)
+    learn: Floats  #: (pairs,)
+    gate: Floats  #: (Q, 5)
+    level: Floats  #: (Q,)
+    share: Floats  #: of the way that a gate goes in a step (Q,)
+    pairs: NDArray[np.int64]  #: (pairs, 2)
+
+
+class Trace(NamedTuple):
+    """What a run over T samples leaves, from the state before the first: all that its gradient needs."""
+
+    x: Floats  #: vectors (T + 1, V, 3, n)
+    bias: Floats  #: (T + 1, 3, n) [rad/s]
+    e: Floats  #: innovations (T, Q, 3, n)
+    felt: Floats  #: (T, 5, n)
+    opened: Floats  #: gates before they are clipped (T, Q, n)
+
+
+class Senses(NamedTuple):
+    """The rest of the state, changed in place."""
+
+    smooth: Floats  #: force, rate and surprise, smoothed (9, n)
+    u: Floats  #: of the gates (Q, n)
+
+
+def stepped(p: Parameters) -> Steps:
+    """Parameters for the kernels."""
+    dt = 1 / RATE_HZ
+    values = (
+        p.mix[[0, 0, 1]] * dt, p.pull[[0, 0, 1]] * dt, p.give[:, [0, 0, 1]] * dt, p.take[:, [0, 0, 1]],
+        p.read[:, [0, 0, 1]], p.learn * dt, p.gate, p.level, dt / p.tau,
+    )  # fmt: skip
+    return Steps(*(np.ascontiguousarray(each, F) for each in values), pairs=p.pairs)
+
+
+def new_trace(p: Parameters, steps: int, n: int) -> tuple[Trace, Senses]:
+    """Room for a run of n copies over T samples, at its start."""
+    vectors, gates = len(p.start), len(p.level)
+    shapes = ((steps + 1, vectors, 3), (steps + 1, 3), (steps, gates, 3), (steps, FELT), (steps, gates))
+    trace = Trace(*(np.empty((*shape, n), F) for shape in shapes))
+    trace.x[0], trace.bias[0] = 0, 0
+    trace.x[0, :, 2] = p.start[:, None]
+    return trace, Senses(np.zeros((9, n), F), np.tile(p.onset.astype(F)[:, None], n))
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+def run_floats(angle, force, w, trace, senses):
+    """Run n copies over T samples.
+
+    Args:
+        angle: Body rate times the time of a sample (T, 3, n) [rad].
+        force: Specific force (T, 3, n) [9.81 m/s²].
+        w: `Steps`.
+        trace: `Trace`; x[0] and bias[0] are read, the rest is written.
+        senses: `Senses`, changed.
+    """
+    for t in range(angle.shape[0]):
+        _feel(t, angle[t], force[t], w, trace, senses)
+        _turn_and_mix(angle[t] - trace.bias[t] * DT, force[t], w, trace.x[t], trace.x[t + 1])
+        _innovate(t, force[t], w, trace)
+        _learn(t, w, trace)
+
+
+@njit(inline="always")
+def _share(v):
+    return min(max(v, F(0)), F(1))
+
+
+@njit(inline="always")
+def _passed(opened, e):
+    """What of an innovation passes its gate: d = clip(r clip(e, ±2), ±1)."""
+    return min(max(_share(opened) * min(max(e, F(-2)), F(2)), F(-1)), F(1))
+
+
+@njit
+def _feel(t, angle, force, w, trace, senses):
+    """What is felt in this sample, and how far the gates open."""
+    smooth, u, felt = senses.smooth, senses.u, trace.felt[t]
+    for i in range(3):
+        still = F(i == 2)
+        for c in range(angle.shape[1]):
+            smooth[i, c] += _FELT_STEP * (force[i, c] - still - smooth[i, c])
+            smooth[3 + i, c] += _FELT_STEP * (angle[i, c] * _FELT_TURN - smooth[3 + i, c])
+            smooth[6 + i, c] += _FELT_STEP * (force[i, c] - trace.x[t, 0, i, c] - smooth[6 + i, c])
+    felt[:] = 0
+    for k in range(9):
+        kind = 4 if k > 5 else 2 * (k // 3) + (k % 3 == 2)
+        for c in range(angle.shape[1]):
+            felt[kind, c] += min(abs(smooth[k, c]), F(1))
+    for q in range(u.shape[0]):
+        for c in range(u.shape[1]):
+            heard = F(0)
+            for k in range(FELT):
+                heard += w.gate[q, k] * felt[k, c]
+            u[q, c] += w.share[q] * (heard - u[q, c])
+            trace.opened[t, q, c] = u[q, c] + w.level[q]
+
+
+@njit
+def _turn_and_mix(angle, force, w, x, following):
+    """All vectors turn, mix and are pulled."""
+    n, vectors = angle.shape[1], x.shape[0]
+    cross = np.empty((3, n), F)
+    for m in range(vectors):
+        for i in range(3):
+            j, k = (i + 1) % 3, (i + 2) % 3
+            for c in range(n):
+                cross[i, c] = angle[j, c] * x[m, k, c] - angle[k, c] * x[m, j, c]
+        for i in range(3):
+            j, k = (i + 1) % 3, (i + 2) % 3
+            for c in range(n):
+                second = angle[j, c] * cross[k, c] - angle[k, c] * cross[j, c]
+                following[m, i, c] = x[m, i, c] - cross[i, c] + F(0.5) * second + w.pull[i, m] * force[i, c]
+            for other in range(vectors):
+                for c in range(n):
+                    following[m, i, c] += w.mix[i, m, other] * x[other, i, c]
+
+
+@njit
+def _innovate(t, force, w, trace):
+    """Innovations, and what passes their gates."""
+    x, following, e, opened = trace.x[t], trace.x[t + 1], trace.e[t], trace.opened[t]
+    n, vectors = force.shape[1], x.shape[0]
+    passed = np.empty(n, F)
+    for q in range(e.shape[0]):
+        for i in range(3):
+            for c in range(n):
+                e[q, i, c] = w.read[q, i] * force[i, c]
+            for m in range(vectors):
+                for c in range(n):
+                    e[q, i, c] += w.take[q, i, m] * x[m, i, c]
+            for c in range(n):
+                passed[c] = _passed(opened[q, c], e[q, i, c])
+            for m in range(vectors):
+                for c in range(n):
+                    following[m, i, c] += w.give[q, i, m] * passed[c]
+
+
+@njit
+def _learn(t, w, trace):
+    """The gyroscope's bias."""
+    n = trace.bias.shape[2]
+    passed = np.empty((3, n), F)
+    trace.bias[t + 1] = trace.bias[t]
+    for p in range(w.learn.size):
+        q = w.pairs[p, 1]
+        x, e, opened = trace.x[t, w.pairs[p, 0]], trace.e[t, q], trace.opened[t, q]
+        for i in range(3):
+            for c in range(n):
+                passed[i, c] = _passed(opened[c], e[i, c])
+        for i in range(3):
+            j, k = (i + 1) % 3, (i + 2) % 3
+            for c in range(n):
+                trace.bias[t + 1, i, c] += w.learn[p] * (x[j, c] * passed[k, c] - x[k, c] * passed[j, c])
+
+
+class FloatCircuit:
+    """The circuit in floats as an estimator; a `NetworkCore`."""
+
+    outputs = 3
+
+    def __init__(self, scaling: Scaling, p: Parameters) -> None:
+        vectors, gates = len(p.start), len(p.level)
+        sizes = {"x": 3 * vectors, "bias": 3, "smooth": 9, "u": gates, "begun": 1}
+        self.state = np.dtype([*encoder_fields(F), *((name, F, size) for name, size in sizes.items())])
+        self.arrays = np.ravel(scaling), stepped(p), p.start.astype(F), p.onset.astype(F)
+        self.kernel = _run_states
+
+
+@njit(cache=True, nogil=True)
+def _run_states(gyro, accel, set_points, scaling, w, start, onset, states, out):
+    """Run n copies from and to their states; see `NetworkCore`."""
+    n, samples = gyro.shape[0], gyro.shape[1] // 3
+    vectors, gates = start.size, onset.size
+    scales = Scaling(scaling[:6], scaling[6:])
+    for c in range(n):
+        if states[c, -1] == 0:
+            states[c, -1] = 1
+            for m in range(vectors):
+                states[c, MISSING + 3 + 3 * m] = start[m]
+            states[c, -1 - gates : -1] = onset
+    for first in range(0, samples, CHUNK):
+        steps = min(CHUNK, samples - first)
+        angle, force = np.empty((steps, 3, n), F), np.empty((steps, 3, n), F)
+        trace = Trace(
+            np.empty((steps + 1, vectors, 3, n), F),
+            np.empty((steps + 1, 3, n), F),
+            np.empty((steps, gates, 3, n), F),
+            np.empty((steps, FELT, n), F),
+            np.empty((steps, gates, n), F),
+        )
+        senses = Senses(np.empty((9, n), F), np.empty((gates, n), F))
+        at = MISSING + 1
+        for c in range(n):
+            kept = states[c]
+            for t in range(steps):
+                here = 3 * (first + t)
+                encode_sample(gyro[c, here : here + 3], accel[c, here : here + 3], scales, kept)
+                for i in range(3):
+                    angle[t, i, c] = kept[i] * F(2.0**-17)
+                    force[t, i, c] = kept[3 + i] * F(1 / INPUT_ONE)
+            for k in range(3 * vectors):
+                trace.x[0, k // 3, k % 3, c] = kept[at + k]
+            for i in range(3):
+                trace.bias[0, i, c] = kept[at + 3 * vectors + i]
+            senses.smooth[:, c] = kept[at + 3 * vectors + 3 : at + 3 * vectors + 12]
+            senses.u[:, c] = kept[at + 3 * vectors + 12 : at + 3 * vectors + 12 + gates]
+        run_floats(angle, force, w, trace, senses)
+        for c in range(n):
+            kept = states[c]
+            for k in range(3 * vectors):
+                kept[at + k] = trace.x[steps, k // 3, k % 3, c]
+            for i in range(3):
+                kept[at + 3 * vectors + i] = trace.bias[steps, i, c]
+            kept[at + 3 * vectors + 3 : at + 3 * vectors + 12] = senses.smooth[:, c]
+            kept[at + 3 * vectors + 12 : at + 3 * vectors + 12 + gates] = senses.u[:, c]
+            for t in range(steps):
+                for i in range(3):
+                    out[c, 3 * (first + t) + i] = trace.x[t + 1, OUTPUT, i, c] - (i == 2)

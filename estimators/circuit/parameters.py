@@ -1,0 +1,176 @@
+"""Parameters of the circuit that follows turns: from the equation, and as the chip's integers.
+
+Gravity seen from the body, g, obeys ġ = -ω × g + (a / 9.81 - g) / τ: the first-order low-pass of the
+specific force a in a frame that does not turn. The circuit has V vectors x_m that all turn so and mix
+linearly, and Q innovations e_q. Each of these passes a gate by a share r_q, which depends on what is felt:
+forces, rates, and how far the force is from the first vector.
+
+    ẋ_m = -(ω - b) × x_m + Σ_n A_mn x_n + B_m a + Σ_q K_qm d_q
+    e_q = clip(Σ_n P_qn x_n + R_q a, ±2),   d_q = clip(r_q e_q, ±1)
+    τ_q u̇_q = W_q z - u_q,   r_q = clip(u_q + c_q, 0, 1)
+    ḃ = Σ_p κ_p (x_p × d_p)
+
+with a in units of 9.81 m/s². Weights are scalars that treat x and y alike and z apart: whatever turns about z
+turns the estimate. The second vector is the world's up in body axes, and b the gyroscope's bias, as in Mahony
+et al. 2008, "Nonlinear complementary filters on the special orthogonal group".
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .spikes import BIAS_RATE, FORCE, INNOVATION, ONE, TURN_RATE, Circuit
+
+Array = NDArray[np.float64]
+RATE_HZ = 200.0
+GRAVITY = 9.81
+"""Specific force of 1.0 [m/s²]."""
+OUTPUT = 1
+"""The vector that is read."""
+FELT = 5
+"""What a gate hears of: |a_x| + |a_y|, |a_z - 1|, |ω_x| + |ω_y|, |ω_z| and |a - x_0| summed over the axes,
+smoothed over `FELT_S` and each axis clipped to 1; rates in units of `FELT_RATE`."""
+FELT_S = 0.05
+FELT_RATE = 4.0
+"""[rad/s]"""
+SLOW, FAST = 4096 / (3 * 800), 4096 / (17 * 800)
+"""Time constants of gates, which are decays of the chip with four steps a sample [s]."""
+SMOOTH_S = 0.025
+"""Time constant of the currents of innovations on the chip [s]."""
+TAU_S = 1.5
+"""Time constant of the pull before training [s]."""
+
+
+class Parameters(NamedTuple):
+    """The circuit in units of 1; axes of length 2 are horizontal and vertical."""
+
+    mix: Array  #: A (2, V, V) [1/s]
+    pull: Array  #: B (2, V) [1/s]
+    give: Array  #: K (Q, 2, V) [1/s]
+    take: Array  #: P (Q, 2, V)
+    read: Array  #: R (Q, 2)
+    learn: Array  #: κ (pairs,) [rad/s²]
+    gate: Array  #: W (Q, 5)
+    level: Array  #: c (Q,)
+    onset: Array  #: u at the start (Q,)
+    tau: Array  #: (Q,) [s]
+    pairs: NDArray[np.int64]  #: vector and innovation of each product for the bias (pairs, 2)
+    start: Array  #: z of each vector at the start (V,)
+    scale: Array  #: length of each vector for which its neurons spike in every step (V,)
+
+
+LEARNT = ("mix", "pull", "give", "take", "read", "learn", "gate", "level", "onset")
+"""What training changes."""
+
+
+def expected_shapes(vectors: int, gates: int, pairs: int) -> dict[str, tuple[int, ...]]:
+    """Shapes of `Parameters`, by name."""
+    v, q = vectors, gates
+    return {
+        "mix": (2, v, v), "pull": (2, v), "give": (q, 2, v), "take": (q, 2, v), "read": (q, 2),
+        "learn": (pairs,), "gate": (q, FELT), "level": (q,), "onset": (q,), "tau": (q,),
+        "pairs": (pairs, 2), "start": (v,), "scale": (v,),
+    }  # fmt: skip
+
+
+def untrained(vectors: int = 4, gates: int = 8, seed: int = 0, spread: float = 0.0) -> Parameters:
+    """The circuit of the equation: gravity in two stages, pulled fast at the start and slowly later.
+
+    Args:
+        vectors: V, at least 4.
+        gates: Q, at least 8.
+        seed: Of the noise.
+        spread: Standard deviation of what is added to the weights, to tell units apart that training will
+            use; relative to 0.01 /s.
+    """
+    rng = np.random.default_rng(seed)
+    p = Parameters(
+        mix=np.zeros((2, vectors, vectors)),
+        pull=np.zeros((2, vectors)),
+        give=np.zeros((gates, 2, vectors)),
+        take=np.zeros((gates, 2, vectors)),
+        read=np.zeros((gates, 2)),
+        learn=np.array([0.03, 0.01]),
+        gate=np.zeros((gates, FELT)),
+        level=np.zeros(gates),
+        onset=np.zeros(gates),
+        tau=np.where(np.arange(gates) % 2, SLOW, FAST),
+        pairs=np.array([[OUTPUT, 6], [OUTPUT, 7]]),
+        start=np.ones(vectors),
+        scale=np.ones(vectors),
+    )
+    p.tau[:8] = SLOW, SLOW, FAST, FAST, FAST, FAST, SLOW, FAST
+    p.start[2] = 0
+    p.mix[:] += 0.01 * spread * rng.standard_normal(p.mix.shape)
+    p.give[:] += 0.01 * spread * rng.standard_normal(p.give.shape)
+    p.take[:] += 0.05 * spread * rng.standard_normal(p.take.shape)
+    p.read[:] += 0.05 * spread * rng.standard_normal(p.read.shape)
+    p.gate[8:] = 0.1 * spread * rng.standard_normal(p.gate[8:].shape)
+    p.level[8:] = 0.4
+    # the first vector follows the force; the third has what the force is in excess of it, as a velocity has
+    p.mix[:, 0, 0] -= 1 / TAU_S
+    p.mix[:, 2, 0] -= 1.0
+    p.mix[:, 2, 2] -= 0.5
+    p.pull[:, [0, 2]] = 1 / TAU_S, 1.0
+    for m, tau in zip(range(3, vectors), (3.0, 0.3, 1.0, 8.0, 0.7, 2.0), strict=False):
+        p.mix[:, m, m] -= 1 / tau
+        p.pull[:, m] = 1 / tau
+    # what is read is pulled to the first vector under large forces, else to a slower one; both fast at first
+    p.give[[0, 1, 3], :, OUTPUT] = np.array([1 / TAU_S, 1.0, 8.0])[:, None]
+    p.take[[0, 1, 3], :, OUTPUT] = -1.0
+    p.take[[0, 3], :, 0] = p.take[1, :, 3] = 1.0
+    p.give[2, :, 0], p.take[2, :, 0], p.read[2] = 8.0, -1.0, 1.0
+    p.gate[0, 0], p.level[0], p.gate[1, 0], p.level[1] = 1.2, -0.2, -1.2, 1.2
+    p.onset[[2, 3]] = 1.0
+    p.gate[4, 2], p.gate[5, 1] = 0.7, 1.0
+    # the bias is learnt from both pulls, less where the force surprises
+    for q, source in ((6, 0), (7, 3)):
+        p.give[q] = p.take[q] = p.read[q] = 0.0
+        p.take[q, :, source], p.take[q, :, OUTPUT] = 1.0, -1.0
+        p.gate[q, 4], p.level[q] = -0.3, 0.8
+    return p
+
+
+def quantised(p: Parameters, steps: int) -> Circuit:
+    """The circuit in the chip's integers, with so many steps a sample."""
+    h = 1 / (RATE_HZ * steps)
+    s = p.scale
+    felt = round(4096 * h / FELT_S)
+    smooth = round(4096 * h / SMOOTH_S)
+    decays = np.maximum(1, np.rint(4096 * h / p.tau)).astype(np.int64)
+    sense = felt * np.array([FORCE, TURN_RATE / FELT_RATE, s[0], 1.0]) * 64
+    kappa = _weights(p.learn * h * s[p.pairs[:, 0]] / BIAS_RATE * ONE)
+    return Circuit(
+        mix=_weights(_axes(p.mix * h * s / s[:, None]) * ONE),
+        pull=_weights(_axes(p.pull * h / s) * FORCE * ONE),
+        give=_weights(_axes(p.give.swapaxes(0, 1) * h / s) * ONE),
+        take=_weights(_axes(p.take.swapaxes(0, 1) * s) * smooth / 4096 * INNOVATION),
+        read=_weights(_axes(p.read.T) * FORCE * smooth / 4096 * INNOVATION),
+        gate=_weights(p.gate * decays[:, None] / 4096 * ONE),
+        levels=np.stack(
+            [_whole(p.level * ONE), _whole(p.onset * ONE), decays, np.full_like(decays, smooth)]
+        ).astype(np.int32),
+        sense=np.array([felt, *_weights(sense)], np.int32),
+        learn=np.column_stack([p.pairs, kappa]).astype(np.int32),
+        start=_whole(p.start / s * ONE),
+    )
+
+
+def _axes(values: Array) -> Array:
+    """From horizontal and vertical to x, y and z."""
+    return values[[0, 0, 1]]
+
+
+def _whole(values: Array) -> NDArray[np.int32]:
+    return np.rint(values).astype(np.int32)
+
+
+def _weights(values: Array) -> NDArray[np.int32]:
+    """Nearest weights of the chip: even mantissas up to 254, times 2^(6 + e) with e from -8 up."""
+    _, exponent = np.frexp(np.abs(values))
+    unit = np.exp2(np.maximum(exponent - 8, -2).astype(np.float64)) * 2
+    mantissa = np.minimum(np.rint(np.abs(values) / unit), 127)
+    return _whole(np.sign(values) * mantissa * unit)

@@ -1,0 +1,345 @@
+"""Att-SNN: the circuit on spikes, in the integers of the chip.
+
+A step lasts 1 / (200 S) s, with S steps a sample. Membranes and currents have 24 bits with their sign, and
+1.0 is 2^20 of their units. Spikes are signed here; on the chip each is that of one of two neurons with
+mirrored synapses. Index t is the value after step t. Every connection delivers after one step:
+
+    n_ω, n_a  spikes of the encoders: angles in quanta of 2^-10 / S rad, forces in quanta of 9.81 / 4 m/s²
+    vectors   s[t] = sign of y if |y| > 2^19, else 0, with y = y[t-1] + x[t-1]
+              y[t] = y - 2^20 s[t] - 3/2 turned[t-1]
+              x[t] = x[t-1] + A s[t] + B n_a[t] + Σ_q K_q d_q[t-1] - turned[t-1]
+              turned[t] = (n_ω × s)[t] / (2^10 S)
+    innovations
+              d_q[t] = sign of z if |z| > 2^21, else 0, with z = z_q[t-1] + γ_q[t] f_q[t-1]
+              z_q[t] = z - 2^22 d_q[t]
+              f_q[t] = D(f_q[t-1], smooth) + P_q s[t] + R_q n_a[t]
+    gates     γ_q[t] = 1 if g_q[t-1] + c_q > ring[t], else 0
+              g_q[t] = D(g_q[t-1], decay_q) + Σ_k W_qk ρ_k[t]
+    felt      ρ_k[t] = number of currents h of kind k with 4 |h[t-1]| > ring[t]
+              h[t] = D(h[t-1], felt) + Σ of what is felt
+    bias      b[t] = b[t-1] + Σ_p κ_p (s_p × d_p)[t-1], whose spikes the gyroscope's encoder takes away
+
+with D(x, d) = sign(x) ((|x| (4096 - d)) >> 12); every membrane is clipped to ±(2^23 - 1). A product such as
+n_ω × s is the sum of coincidence neurons, one for each two signs, axes and digit of n_ω: a spike of theirs
+needs one of the gyroscope and one of the vector.
+
+Three things are more than a leaky integrate-and-fire neuron has. Vectors, innovations and the bias are reset
+by subtraction. A gate joins f_q to z_q: the compartment passes it on in the steps in which the gate spikes.
+And `ring` is a threshold that 31 neurons, which spike in turn, add to gates and to what feels.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadsim.runs.compiled import njit
+
+from ..loihi.neurons import STATE_MAX, decay
+from ..networks.encoder import MISSING, Scaling, encode_sample, encoder_fields
+
+Int32s = NDArray[np.int32]
+
+ONE_BITS = 20
+ONE = 1 << ONE_BITS
+"""Membrane units of 1.0."""
+INNOVATION_BITS = 22
+INNOVATION = 1 << INNOVATION_BITS
+"""Membrane units of an innovation of 1.0; a membrane ends at twice that."""
+FELT_BITS = 18
+FELT = 1 << FELT_BITS
+"""Units of 1.0 of what is felt: 32 g or 128 rad/s are within 24 bits."""
+ANGLE_DIGITS, FORCE_DIGITS = 5, 4
+"""Balanced ternary digits of the encoders' spikes: quanta of 1, 3, 9, 27 and 81."""
+ANGLE_MAX, FORCE_MAX = (3**ANGLE_DIGITS - 1) // 2, (3**FORCE_DIGITS - 1) // 2
+"""Most quanta in a step: 23.6 rad/s and 98 m/s². What is more comes later."""
+ANGLE_UNITS, FORCE_UNITS, BIAS_UNITS = 128, 256, 128
+"""Encoder units of a quantum of angle, of one of force, and what a spike of the bias takes from an angle."""
+LATER = 1 << 14
+"""Encoder units that may wait, 128 quanta of angle."""
+TURN_BITS = 10
+"""A quantum of angle is 2^-10 rad / S."""
+FORCE = 0.25
+"""Specific force of a quantum, in units of 9.81 m/s²."""
+TURN_RATE = 2.0**-TURN_BITS * 200
+"""Body rate of a quantum of angle in every step [rad/s], whatever the steps a sample."""
+BIAS_RATE = TURN_RATE * BIAS_UNITS / ANGLE_UNITS
+"""Bias of a spike in every step, the largest that can be told [rad/s]."""
+LEAD = 3
+"""Half steps by which a vector's spikes run ahead of it in a turn. A turn reaches the vector a step and a
+half after the middle of the spikes that it multiplied; with the lead, its length stays as it is."""
+_GOLDEN = np.argsort(np.argsort(np.arange(31) * (5**0.5 - 1) / 2 % 1))
+RING = (ONE * (_GOLDEN + 0.5) / len(_GOLDEN)).astype(np.int32)
+"""Thresholds of gates and of what feels, step by step: 31 levels, spread evenly over any short time."""
+EVENTS = ("angles", "vectors", "coincidences", "innovations", "gates", "felt", "bias", "learning", "forces")
+"""Kinds of spikes that a circuit counts, each of the unsigned ones."""
+
+
+class Circuit(NamedTuple):
+    """Integer parameters, in membrane units a spike; the first axis of `mix` to `read` is the body's."""
+
+    mix: Int32s  #: A, of vectors by vectors (3, V, V)
+    pull: Int32s  #: B, of vectors by a quantum of force (3, V)
+    give: Int32s  #: K, of vectors by innovations that passed (3, Q, V)
+    take: Int32s  #: P, of innovations by vectors (3, Q, V)
+    read: Int32s  #: R, of innovations by a quantum of force (3, Q)
+    gate: Int32s  #: W, of gates by what is felt (Q, 5)
+    levels: Int32s  #: bias, start and decay of each gate, and the decay of its innovation (4, Q)
+    sense: Int32s  #: decay of what is felt, weights of force, turn and first vector, bias of z (5,)
+    learn: Int32s  #: vector, gate and κ of each product for the gyroscope's bias (pairs, 3)
+    start: Int32s  #: z of each vector at the start (V,)
+
+
+class State(NamedTuple):
+    """What a copy keeps from step to step, as parts of its row of numbers."""
+
+    angle: Int32s  #: of the gyroscope, that the encoder has not yet told (3,)
+    force: Int32s  #: of the accelerometer (3,)
+    x: Int32s  #: vectors (V, 3)
+    y: Int32s  #: their somas (V, 3)
+    turned: Int32s  #: what coincidences of the step before take from them (V, 3)
+    drive: Int32s  #: f, innovations, smoothed (Q, 3)
+    z: Int32s  #: their somas (Q, 3)
+    passed: Int32s  #: d, their spikes (Q, 3)
+    felt: Int32s  #: h: force, rate and surprise (3, 3)
+    gate: Int32s  #: g (Q,)
+    bias: Int32s  #: b, its soma, its spikes, and what it gets next (4, 3)
+    ring: Int32s  #: steps since the start, counted around the ring from 1; 0 before the first (1,)
+    events: Int32s  #: spikes since the start, as `EVENTS` (9,)
+
+
+@njit(inline="always")
+def state_of(row, vectors, gates):
+    """`State` of a row of numbers, which begins with the encoder's."""
+    v, q = 3 * vectors, 3 * gates
+    at = MISSING + 7
+    x, y, turned = row[at : at + v], row[at + v : at + 2 * v], row[at + 2 * v : at + 3 * v]
+    at += 3 * v
+    drive, z, passed = row[at : at + q], row[at + q : at + 2 * q], row[at + 2 * q : at + 3 * q]
+    at += 3 * q
+    felt, gate = row[at : at + 9], row[at + 9 : at + 9 + gates]
+    at += 9 + gates
+    return State(
+        row[MISSING + 1 : MISSING + 4],
+        row[MISSING + 4 : MISSING + 7],
+        x.reshape(vectors, 3),
+        y.reshape(vectors, 3),
+        turned.reshape(vectors, 3),
+        drive.reshape(gates, 3),
+        z.reshape(gates, 3),
+        passed.reshape(gates, 3),
+        felt.reshape(3, 3),
+        gate,
+        row[at : at + 12].reshape(4, 3),
+        row[at + 12 : at + 13],
+        row[at + 13 :],
+    )
+
+
+class SpikingCircuit:
+    """The circuit in the chip's integers; a `NetworkCore`.
+
+    Args:
+        scaling: Of the readings.
+        circuit: Its parameters.
+        output: Which vector is read.
+        steps: Steps a sample, 1, 2 or 4.
+        unit: Length of the estimate for which the vector's neurons spike in every step.
+    """
+
+    outputs = 3
+
+    def __init__(self, scaling: Scaling, circuit: Circuit, output: int, steps: int, unit: float) -> None:
+        vectors, gates = len(circuit.start), len(circuit.gate)
+        sizes = [3, 3, *[3 * vectors] * 3, *[3 * gates] * 3, 9, gates, 12, 1, len(EVENTS)]
+        kept = zip(State._fields, sizes, strict=True)
+        self.state = np.dtype([*encoder_fields(np.int32), *((name, np.int32, size) for name, size in kept)])
+        self.arrays = np.array([*np.ravel(scaling), steps, output, unit / ONE]), *circuit
+        self.kernel, self.circuit, self.steps = run_circuit, circuit, steps
+
+
+@njit(cache=True, nogil=True)
+def run_circuit(
+    gyro, accel, set_points, settings,
+    mix, pull, give, take, read, gate, levels, sense, learn, start, states, out,
+):  # fmt: skip
+    """Run n copies over whole sequences, or one sample, from and to their states; see `NetworkCore`."""
+    circuit = Circuit(mix, pull, give, take, read, gate, levels, sense, learn, start)
+    scaling = Scaling(settings[:6], settings[6:12])
+    steps, output, unit = int(settings[12]), int(settings[13]), settings[14]
+    s, n_w, n_a = np.zeros((start.size, 3), np.int32), np.zeros(3, np.int32), np.zeros(3, np.int32)
+    heard, opened = np.zeros(gate.shape[1], np.int32), np.zeros(gate.shape[0], np.int32)
+    for copy in range(states.shape[0]):
+        row = states[copy]
+        state = state_of(row, start.size, gate.shape[0])
+        if state.ring[0] == 0:
+            state.x[:, 2] = start
+            state.gate[:] = levels[1]
+        for t in range(gyro.shape[1] // 3):
+            encode_sample(gyro[copy, 3 * t : 3 * t + 3], accel[copy, 3 * t : 3 * t + 3], scaling, row)
+            for _ in range(steps):
+                state.ring[0] = state.ring[0] % RING.size + 1
+                threshold = RING[state.ring[0] - 1]
+                _encode(row, state, n_w, n_a)
+                _fire(state, s)
+                _listen(state, circuit, threshold, opened)
+                _feel(state, sense, threshold, n_w, n_a, s, heard)
+                _hear(state, circuit, heard)
+                _advance(state, circuit, s, n_a)
+                _turn(state, n_w, s, steps)
+                _innovate(state, circuit, opened, s, n_a)
+            for i in range(3):
+                out[copy, 3 * t + i] = state.x[output, i] * unit - (i == 2)
+
+
+@njit(inline="always")
+def _clipped(v):
+    return np.int32(min(max(v, -STATE_MAX), STATE_MAX))
+
+
+@njit(inline="always")
+def _spike(v, bits):
+    """A signed spike of a soma that is reset by 2^bits."""
+    half = 1 << (bits - 1)
+    return np.int32(v > half) - np.int32(v < -half)
+
+
+@njit(inline="always")
+def _quanta(waiting, units, most):
+    """Whole quanta nearest to what waits, as many as the digits can say; and what waits then."""
+    n = min(max((waiting + units // 2) // units, -most), most)
+    return np.int32(n), np.int32(min(max(waiting - units * n, -LATER), LATER))
+
+
+@njit
+def _digits(n):
+    """How many of the balanced ternary digits of n are not 0."""
+    count, rest = 0, abs(n)
+    while rest:
+        digit = (rest + 1) % 3 - 1
+        rest = (rest - digit) // 3
+        count += abs(digit)
+    return count
+
+
+@njit
+def _encode(row, state, n_w, n_a):
+    """Spikes of the encoders, on the host."""
+    for i in range(3):
+        told = row[i] - BIAS_UNITS * state.bias[2, i]
+        n_w[i], state.angle[i] = _quanta(state.angle[i] + told, ANGLE_UNITS, ANGLE_MAX)
+        n_a[i], state.force[i] = _quanta(state.force[i] + row[3 + i], FORCE_UNITS, FORCE_MAX)
+        state.events[0] += _digits(n_w[i])
+        state.events[8] += _digits(n_a[i])
+
+
+@njit
+def _fire(state, s):
+    """Spikes of the vectors and of the bias."""
+    for m in range(s.shape[0]):
+        for i in range(3):
+            v = _clipped(state.y[m, i] + state.x[m, i])
+            s[m, i] = _spike(v, ONE_BITS)
+            state.y[m, i] = v - (s[m, i] << ONE_BITS)
+            state.events[1] += abs(s[m, i])
+    bias, soma, spikes, due = state.bias
+    for i in range(3):
+        v = _clipped(soma[i] + bias[i])
+        spikes[i] = _spike(v, ONE_BITS)
+        soma[i] = v - (spikes[i] << ONE_BITS)
+        bias[i], due[i] = _clipped(bias[i] + due[i]), 0
+        state.events[6] += abs(spikes[i])
+
+
+@njit
+def _listen(state, circuit, threshold, opened):
+    """Spikes of the gates."""
+    for q in range(opened.size):
+        opened[q] = state.gate[q] + circuit.levels[0, q] > threshold
+        state.events[4] += opened[q]
+
+
+@njit
+def _feel(state, sense, threshold, n_w, n_a, s, heard):
+    """Spikes of the neurons that feel force, rate and surprise, by kind; then their currents."""
+    heard[:] = 0
+    for i in range(3):
+        for k in range(3):
+            spike = np.int32(abs(state.felt[k, i]) << (ONE_BITS - FELT_BITS) > threshold)
+            heard[4 if k == 2 else 2 * k + (i == 2)] += spike
+            state.events[5] += spike
+        push = sense[1] * n_a[i]
+        still = sense[4] if i == 2 else 0
+        state.felt[0, i] = _clipped(decay(state.felt[0, i], sense[0]) + push - still)
+        state.felt[1, i] = _clipped(decay(state.felt[1, i], sense[0]) + sense[2] * n_w[i])
+        state.felt[2, i] = _clipped(decay(state.felt[2, i], sense[0]) + push - sense[3] * s[0, i])
+
+
+@njit
+def _hear(state, circuit, heard):
+    """Currents of the gates."""
+    for q in range(circuit.gate.shape[0]):
+        total = decay(state.gate[q], circuit.levels[2, q])
+        for k in range(heard.size):
+            total += circuit.gate[q, k] * heard[k]
+        state.gate[q] = _clipped(total)
+
+
+@njit
+def _advance(state, circuit, s, n_a):
+    """The vectors: what they mix, are pulled, corrected and turned by."""
+    x, vectors, gates = state.x, s.shape[0], state.passed.shape[0]
+    for i in range(3):
+        for m in range(vectors):
+            x[m, i] += circuit.pull[i, m] * n_a[i] - state.turned[m, i]
+            state.y[m, i] = _clipped(state.y[m, i] - state.turned[m, i] * LEAD // 2)
+        for n in range(vectors):
+            if s[n, i]:
+                for m in range(vectors):
+                    x[m, i] += circuit.mix[i, m, n] * s[n, i]
+        for q in range(gates):
+            if state.passed[q, i]:
+                for m in range(vectors):
+                    x[m, i] += circuit.give[i, q, m] * state.passed[q, i]
+        for m in range(vectors):
+            x[m, i] = _clipped(x[m, i])
+
+
+@njit
+def _turn(state, n_w, s, steps):
+    """Coincidences of the gyroscope's spikes with those of the vectors."""
+    weight = (ONE >> TURN_BITS) // steps
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        about_j, about_k = _digits(n_w[j]), _digits(n_w[k])
+        for m in range(s.shape[0]):
+            state.turned[m, i] = (n_w[j] * s[m, k] - n_w[k] * s[m, j]) * weight
+            state.events[2] += abs(s[m, k]) * about_j + abs(s[m, j]) * about_k
+
+
+@njit
+def _innovate(state, circuit, opened, s, n_a):
+    """What the bias gets, the spikes of the innovations, and their currents."""
+    due, passed = state.bias[3], state.passed
+    for p in range(circuit.learn.shape[0]):
+        m, q, kappa = circuit.learn[p]
+        for i in range(3):
+            j, k = (i + 1) % 3, (i + 2) % 3
+            there, back = s[m, j] * passed[q, k], s[m, k] * passed[q, j]
+            due[i] += kappa * (there - back)
+            state.events[7] += abs(there) + abs(back)
+    for i in range(3):
+        for q in range(opened.size):
+            v = _clipped(state.z[q, i] + opened[q] * state.drive[q, i])
+            spike = _spike(v, INNOVATION_BITS)
+            passed[q, i], state.z[q, i] = spike, v - (spike << INNOVATION_BITS)
+            state.events[3] += abs(spike)
+            state.drive[q, i] = decay(state.drive[q, i], circuit.levels[3, q]) + circuit.read[i, q] * n_a[i]
+        for m in range(s.shape[0]):
+            if s[m, i]:
+                for q in range(opened.size):
+                    state.drive[q, i] += circuit.take[i, q, m] * s[m, i]
+        for q in range(opened.size):
+            state.drive[q, i] = _clipped(state.drive[q, i])

@@ -1,0 +1,138 @@
+"""The circuit's export in C99 against the one that flies: every integer and every output."""
+
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+from estimators.circuit.estimator import circuit_estimator
+from estimators.circuit.file import CircuitConfig, save_circuit
+from estimators.circuit.parameters import untrained
+from estimators.export.circuit_c import write_circuit_c
+from estimators.export.formats import export_weights
+
+VECTORS, GATES, SAMPLES = 6, 16, 2000
+
+
+def readings(seed):
+    """Turns up to 40 rad/s and forces up to 150 m/s², rest, and readings that no IMU gives, (T, 6)."""
+    rng = np.random.default_rng(seed)
+    size = np.repeat(rng.uniform(0, 1, (SAMPLES // 50, 2)) ** 3, 50, axis=0)
+    gyro = rng.uniform(-40, 40, (SAMPLES, 3)) * size[:, :1]
+    accel = [0, 0, 9.81] + rng.uniform(-150, 150, (SAMPLES, 3)) * size[:, 1:]
+    gyro[300:600], accel[300:600] = (0.05, -0.02, 0.01), (0.4, -0.3, 9.8)
+    gyro[700:900], accel[700:900] = 40.0, -150.0
+    gyro[100:110, 1], accel[200, 0], accel[300:320], gyro[400], accel[500] = np.nan, np.inf, 0.0, 1e30, -1e30
+    gyro[650], accel[650] = 5e-324, (0.0, -0.0, 1e-300)
+    return np.concatenate([gyro, accel], 1)
+
+
+def circuit(seed=0):
+    """Parameters whose gates all open at times and whose bias learns fast."""
+    p = untrained(VECTORS, GATES, seed, spread=1.0)
+    return p._replace(gate=p.gate + 0.2, learn=np.array([1.0, -0.7]), scale=p.scale * 1.1)
+
+
+def c_state(vectors, gates):
+    """The layout of the exported circuit's state in memory, axes first."""
+    signed = [
+        ("inputs", (6,)),
+        *((name, (3,)) for name in ("angle", "force")),
+        *((name, (3, vectors)) for name in ("x", "y", "turned")),
+        *((name, (3, gates)) for name in ("drive", "z")),
+        ("felt", (3, 3)),
+        ("gate", (gates,)),
+        ("bias", (4, 3)),
+        ("ring", (1,)),
+        ("missing", ()),
+    ]
+    fields = [(name, np.int32, shape) for name, shape in signed]
+    return np.dtype([*fields, ("passed", np.int8, (3, gates))], align=True)
+
+
+@pytest.fixture
+def compiled(tmp_path, request):
+    """Compile an export, strictly: a function from samples (T, 6) to an array of states and outputs."""
+    if shutil.which("cc") is None:
+        pytest.skip("no C compiler")
+    driver = request.path.parents[1] / "data" / "loihi" / "driver.c"
+
+    def build(p, steps):
+        config = CircuitConfig(vectors=VECTORS, gates=GATES, steps_per_sample=steps)
+        save_circuit(tmp_path / "circuit.safetensors", config, p)
+        source = export_weights(tmp_path / "circuit.safetensors", tmp_path / "c", "c99")
+        flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2", f"-I{source}"]
+        command = ["cc", *flags, source / "att_snn.c", driver, "-o", tmp_path / "run"]
+        subprocess.run([str(part) for part in command], check=True)
+        layout = np.dtype([("state", c_state(VECTORS, GATES)), ("up", float, 3)])
+
+        def run(samples):
+            done = subprocess.run(
+                [tmp_path / "run"], input=samples.tobytes(), capture_output=True, check=True
+            )
+            return np.frombuffer(done.stdout, layout)
+
+        return run
+
+    return build
+
+
+def assert_states_equal(theirs, ours, label):
+    for name in theirs.dtype.names:
+        value = theirs[name]
+        flat = (value.T if name in ("x", "y", "turned", "drive", "z", "passed") else value).ravel()
+        np.testing.assert_array_equal(flat, ours[name].ravel(), err_msg=f"{name} at {label}")
+
+
+@pytest.mark.parametrize("steps", [1, 2, 4])
+def test_the_c_source_has_every_integer_and_output_of_the_circuit(compiled, steps):
+    p = circuit(steps)
+    samples = readings(steps)
+    found = compiled(p, steps)(samples)
+    assert len(found) == SAMPLES
+    est = circuit_estimator("att-snn", p, steps)
+    passed = np.zeros((GATES, 3), bool)
+    for t, (row, theirs) in enumerate(zip(samples, found, strict=True)):
+        est.update(row[None, :3], row[None, 3:])
+        assert_states_equal(theirs["state"], est.states[0], t)
+        assert est.up is not None
+        np.testing.assert_array_equal(theirs["up"], est.up[0], err_msg=f"up at {t}")
+        passed |= est.states[0]["passed"].reshape(GATES, 3) != 0
+    assert passed.any(axis=1).sum() > GATES // 2
+    assert np.any(found["state"]["bias"] != 0, axis=(0, 2)).all()
+    assert est.skipped[0] == 33
+
+
+def test_a_circuit_without_weights_or_products_compiles_and_says_level(compiled):
+    p = untrained(VECTORS, GATES)
+    empty = {name: np.zeros_like(getattr(p, name)) for name in ("mix", "give", "take", "pull", "read")}
+    p = p._replace(**empty, learn=np.zeros(0), pairs=np.zeros((0, 2), np.int64))
+    samples = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 9.81], (20, 1))
+    np.testing.assert_array_equal(compiled(p, 4)(samples)["up"], np.tile([0.0, 0.0, 1.0], (20, 1)))
+
+
+@pytest.mark.parametrize(("format", "known"), [("nir", ""), ("onnx", ""), ("csv", 'unknown format "csv"; ')])
+def test_a_circuit_is_exported_as_c99_only(tmp_path, format, known):
+    path = tmp_path / "circuit.safetensors"
+    save_circuit(path, CircuitConfig(vectors=VECTORS, gates=GATES), circuit())
+    with pytest.raises(ValueError, match=f"{known}a circuit is no chain of layers; .* use c99$"):
+        export_weights(path, tmp_path / "x", format)
+    with pytest.raises(ValueError, match="exists already"):
+        export_weights(path, tmp_path, "c99")
+
+
+@pytest.mark.parametrize(
+    ("names", "value", "message"),
+    [
+        (["tau"], 1e-4, "longer than a step"),
+        (["pull"], 1e5, "within 24 bits"),
+        (["level"], 10.0, "within 24 bits"),
+        (["mix", "give"], 6e3, "within 32 bits"),
+    ],
+)
+def test_numbers_that_c_integers_cannot_hold_are_refused(tmp_path, names, value, message):
+    p = untrained(64, 256)
+    p = p._replace(**{name: np.full_like(getattr(p, name), value) for name in names})
+    with pytest.raises(ValueError, match=message):
+        write_circuit_c(tmp_path / "c", CircuitConfig(vectors=64, gates=256), p)

@@ -1,0 +1,113 @@
+"""The circuit's gradient is the derivative of its loss, and a run that was stopped ends as if it was not."""
+
+import numpy as np
+import pytest
+
+from estimators.circuit.file import load_circuit
+from estimators.circuit.parameters import LEARNT, untrained
+from quadsim.dataset import generate
+from quadsim.flight.recipe import load_recipe
+from training.augment import Augmentation
+from training.circuit.gradient import loss_and_gradient
+from training.circuit.loop import make_run, train_circuit
+from training.circuit.streams import draw_streams, held, load_motion, sway
+
+
+def batch(seed=0, steps=200, n=6):
+    rng = np.random.default_rng(seed)
+    angle, force = rng.normal(0, 0.02, (steps, 3, n)), rng.normal([[0], [0], [1]], 0.3, (steps, 3, n))
+    up = rng.normal([[0], [0], [2]], 0.3, (steps, 3, n))
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    return *(each.astype(np.float32) for each in (angle, force, up)), np.ones(n, np.float32)
+
+
+@pytest.mark.parametrize("name", LEARNT)
+def test_the_gradient_is_the_slope_of_the_loss_along_any_direction(name):
+    rng = np.random.default_rng(1)
+    p = untrained(5, 10, seed=1, spread=2.0)
+    # gates that depend on nothing and are between shut and open, where the gradient is exact
+    p = p._replace(gate=0 * p.gate, level=rng.uniform(0.3, 0.7, 10), onset=0 * p.onset)
+    _, slope, _ = loss_and_gradient(p, *batch())
+    value = getattr(p, name)
+    direction = rng.standard_normal(value.shape)
+    size = 2e-3 if name != "gate" else 1e-3
+    sides = [
+        loss_and_gradient(p._replace(**{name: value + k * size * direction}), *batch())[0] for k in (1, -1)
+    ]
+    expected = (getattr(slope, name) * direction).sum()
+    assert abs(expected) > 1e-6
+    assert (sides[0] - sides[1]) / (2 * size) == pytest.approx(expected, rel=0.05)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("circuit")
+    return tuple(
+        str(generate(load_recipe(recipe), 3, 6.0, folder / f"{recipe}.zarr", seed=seed, workers=1))
+        for recipe, seed in (("hummingbird", 1), ("hand-held", 2))
+    )
+
+
+SHORT = {"updates": 600, "streams": 8, "batch_size": 2, "window_s": 0.1, "vectors": 4, "gates": 8, "seed": 3}
+
+
+def test_a_stopped_run_ends_as_one_that_was_not(tmp_path, data):
+    run = make_run(data=data, validation=data[:1], **SHORT)
+    whole, errors = train_circuit(run, tmp_path / "whole")
+
+    def stop(row, run):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train_circuit(run, tmp_path / "parts", stop)
+    assert not (tmp_path / "parts" / "best.safetensors").exists()
+    parts, again = train_circuit(run, tmp_path / "parts")
+    for ours, theirs in zip(load_circuit(whole)[1], load_circuit(parts)[1], strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    assert errors == again
+    assert {each.name for each in (tmp_path / "parts").iterdir()} >= {"log.csv", "curve.png", "config.json"}
+    with pytest.raises(ValueError, match="holds a run with another configuration"):
+        train_circuit(make_run(data=data, **SHORT | {"seed": 4}), tmp_path / "parts")
+    config, p = load_circuit(whole)
+    assert config.training["training_flights"] == 6
+    assert np.abs(p.mix - untrained(4, 8, 3, 1.0).mix).max() > 1e-3
+
+
+def test_a_run_says_what_is_wrong(data, tmp_path):
+    with pytest.raises(ValueError, match="at least one dataset"):
+        make_run(data=())
+    with pytest.raises(ValueError, match="gates"):
+        make_run(data=data, gates=2)
+    with pytest.raises(ValueError, match="window_s: 20, but the shortest flight has 6 s"):
+        train_circuit(make_run(data=data), tmp_path)
+
+
+def test_streams_are_readings_and_their_up(data):
+    flights, hands = load_motion(data)
+    assert (len(flights), len(hands)) == (1, 1)
+    streams = draw_streams(flights, hands, 70, 400, 0.5, Augmentation(), np.random.default_rng(0))
+    for each in streams:
+        assert each.shape == (70, 400, 3)
+        assert np.isfinite(each).all()
+    np.testing.assert_allclose(np.linalg.norm(streams.up, axis=2), 1, atol=1e-5)
+    again = draw_streams(flights, hands, 70, 400, 0.5, Augmentation(), np.random.default_rng(0))
+    np.testing.assert_array_equal(streams.force, again.force)
+
+
+def test_a_hand_sways_within_bounds():
+    """Twice integrated, what a resting hand feels besides gravity is a position within a metre."""
+    steps, rng = 8000, np.random.default_rng(5)
+    rest = np.zeros((12, steps, 3), np.float32)
+    up = np.tile(np.float32([0, 0, 1]), (12, steps, 1))
+    added = sway(rest, 9.81 * up, up, 200.0, rng) - 9.81 * up
+    assert np.abs(added).max() > 5
+    place = np.cumsum(np.cumsum(added.astype(float), 1), 1) / 200**2
+    assert np.abs(place).max() < 1.5
+
+
+def test_lost_readings_are_the_last_good_ones():
+    readings = np.arange(18.0).reshape(1, 6, 3)
+    readings[0, [0, 3, 4]] = np.nan
+    found = held(readings)[0]
+    assert found[0].tolist() == [0, 0, 0]
+    assert found[3].tolist() == found[4].tolist() == [6, 7, 8]

@@ -1,0 +1,1 @@
+"""Training of the circuit that follows turns, by gradients through time."""

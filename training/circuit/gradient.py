@@ -1,0 +1,216 @@
+"""The gradient of a run of the circuit in floats; n copies side by side.
+
+It is the exact derivative of `estimators.circuit.floats.run_floats`, but for two things: what gates hear of
+is taken as given, and a gate that is shut or fully open keeps `LEAK` of the gradient that would move it back.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.circuit.floats import DT, F, Trace, new_trace, run_floats, stepped
+from estimators.circuit.parameters import FELT, LEARNT, OUTPUT, RATE_HZ, Parameters
+from quadsim.runs.compiled import njit
+
+Floats = NDArray[np.float32]
+LEAK = F(0.3)
+ROUNDING = 0.02
+"""Error below which the loss is quadratic rather than linear."""
+LENGTH_COST = 0.02
+"""Weight of the squared difference of the estimate's length from 1."""
+
+
+class Slopes(NamedTuple):
+    """Gradients by what `Steps` holds, and by the gates' openings."""
+
+    mix: Floats
+    pull: Floats
+    give: Floats
+    take: Floats
+    read: Floats
+    learn: Floats
+    opened: Floats
+
+
+def loss_and_gradient(
+    p: Parameters, angle: Floats, force: Floats, up: Floats, weights: Floats
+) -> tuple[float, Parameters, Trace]:
+    """The loss of a batch of streams and its gradient.
+
+    Args:
+        p: The circuit.
+        angle: Body rate times the time of a sample (T, 3, n) [rad].
+        force: Specific force (T, 3, n) [9.81 m/s²].
+        up: The world's up in body axes, the target (T, 3, n).
+        weights: Of the streams (n,).
+
+    Returns:
+        The loss: mean of √(|error|² + ROUNDING²) - ROUNDING of the normalised estimate, and the cost of its
+        length; its gradient, where `LEARNT` is not 0; and the trace.
+    """
+    w, (trace, senses) = stepped(p), new_trace(p, len(angle), angle.shape[2])
+    run_floats(angle, force, w, trace, senses)
+    loss, outer = _loss(trace.x[1:, OUTPUT], up, weights / (weights.sum() * len(angle)))
+    learnt = w.mix, w.pull, w.give, w.take, w.read, w.learn, trace.opened
+    slopes = Slopes(*map(np.zeros_like, learnt))
+    _backward(angle, force, w, trace, outer, slopes)
+    gate, level, onset = (np.zeros_like(each, F) for each in (w.gate, w.level, w.level))
+    _gates(slopes.opened, trace, w.share, gate, level, onset)
+    dt = 1 / RATE_HZ
+    body = {"mix": (0, dt), "pull": (0, dt), "give": (1, dt), "take": (1, 1.0), "read": (1, 1.0)}
+    found = {name: _planes(getattr(slopes, name), axis) * unit for name, (axis, unit) in body.items()}
+    found |= {"learn": slopes.learn * dt, "gate": gate, "level": level, "onset": onset}
+    rest = {name: np.zeros_like(value) for name, value in p._asdict().items() if name not in LEARNT}
+    return loss, p._replace(**rest, **{name: each.astype(np.float64) for name, each in found.items()}), trace
+
+
+def _planes(values: Floats, axis: int) -> Floats:
+    """Sums over the horizontal axes, and the vertical one."""
+    x, y, z = np.moveaxis(values, axis, 0)
+    return np.stack([x + y, z], axis)
+
+
+def _loss(estimate: Floats, up: Floats, weights: Floats) -> tuple[float, Floats]:
+    """Loss of estimates (T, 3, n) and its gradient by them."""
+    length = np.sqrt((estimate * estimate).sum(1, keepdims=True)) + F(1e-3)
+    direction = estimate / length
+    error = direction - up
+    size = np.sqrt((error * error).sum(1, keepdims=True) + F(ROUNDING**2))
+    excess = length - 1
+    loss = float(((size - F(ROUNDING) + F(LENGTH_COST) * excess * excess) * weights).sum())
+    slope = error / size * weights
+    outer = (slope - direction * (direction * slope).sum(1, keepdims=True)) / length
+    return loss, (outer + F(2 * LENGTH_COST) * excess * direction * weights).astype(F)
+
+
+@njit(cache=True, error_model="numpy", fastmath=True)
+def _backward(angle, force, w, trace, outer, slopes):
+    """From the gradient by the estimates (T, 3, n) to that by everything else, added to `slopes`."""
+    n, (gates, vectors) = angle.shape[2], (w.give.shape[0], w.pull.shape[1])
+    x_bar, earlier = np.zeros((vectors, 3, n), F), np.zeros((vectors, 3, n), F)
+    b_bar, d_bar, d = np.zeros((3, n), F), np.zeros((gates, 3, n), F), np.zeros((gates, 3, n), F)
+    for t in range(angle.shape[0] - 1, -1, -1):
+        for i in range(3):
+            for c in range(n):
+                x_bar[OUTPUT, i, c] += outer[t, i, c]
+        x, e, opened = trace.x[t], trace.e[t], trace.opened[t]
+        for q in range(gates):
+            for i in range(3):
+                for c in range(n):
+                    share = min(max(opened[q, c], F(0)), F(1))
+                    d[q, i, c] = min(max(share * min(max(e[q, i, c], F(-2)), F(2)), F(-1)), F(1))
+                    d_bar[q, i, c] = 0
+        turn = angle[t] - trace.bias[t] * DT
+        b_next = _turned_back(turn, x, x_bar, earlier, b_bar)
+        _mixed_back(force[t], x, x_bar, earlier, w, slopes)
+        _learnt_back(x, d, b_bar, earlier, d_bar, w, slopes)
+        _passed_back(t, force[t], x, x_bar, e, opened, d, d_bar, earlier, w, slopes)
+        x_bar, earlier = earlier, x_bar
+        b_bar = b_next
+
+
+@njit(fastmath=True)
+def _turned_back(turn, x, x_bar, earlier, b_bar):
+    """Write the vectors' gradient before they turned; return the bias's of the step before."""
+    n = turn.shape[1]
+    cross, b_next = np.empty((3, n), F), b_bar.copy()
+    for m in range(x.shape[0]):
+        for i in range(3):
+            j, k = (i + 1) % 3, (i + 2) % 3
+            for c in range(n):
+                cross[i, c] = turn[j, c] * x_bar[m, k, c] - turn[k, c] * x_bar[m, j, c]
+                b_next[i, c] += DT * (x[m, j, c] * x_bar[m, k, c] - x[m, k, c] * x_bar[m, j, c])
+        for i in range(3):
+            j, k = (i + 1) % 3, (i + 2) % 3
+            for c in range(n):
+                second = turn[j, c] * cross[k, c] - turn[k, c] * cross[j, c]
+                earlier[m, i, c] = x_bar[m, i, c] + cross[i, c] + F(0.5) * second
+    return b_next
+
+
+@njit(fastmath=True)
+def _mixed_back(force, x, x_bar, earlier, w, slopes):
+    """The same for the linear mix and the pull."""
+    n, vectors = force.shape[1], x.shape[0]
+    for i in range(3):
+        for m in range(vectors):
+            total = F(0)
+            for c in range(n):
+                total += x_bar[m, i, c] * force[i, c]
+            slopes.pull[i, m] += total
+            for other in range(vectors):
+                total = F(0)
+                for c in range(n):
+                    total += x_bar[m, i, c] * x[other, i, c]
+                    earlier[other, i, c] += w.mix[i, m, other] * x_bar[m, i, c]
+                slopes.mix[i, m, other] += total
+
+
+@njit(fastmath=True)
+def _learnt_back(x, d, b_bar, earlier, d_bar, w, slopes):
+    """The same for the products that the bias is learnt from."""
+    n = b_bar.shape[1]
+    for p in range(w.learn.size):
+        m, q, kappa, total = w.pairs[p, 0], w.pairs[p, 1], w.learn[p], F(0)
+        for i in range(3):
+            j, k = (i + 1) % 3, (i + 2) % 3
+            for c in range(n):
+                earlier[m, i, c] += kappa * (d[q, j, c] * b_bar[k, c] - d[q, k, c] * b_bar[j, c])
+                d_bar[q, i, c] += kappa * (b_bar[j, c] * x[m, k, c] - b_bar[k, c] * x[m, j, c])
+                total += b_bar[i, c] * (x[m, j, c] * d[q, k, c] - x[m, k, c] * d[q, j, c])
+        slopes.learn[p] += total
+
+
+@njit(fastmath=True)
+def _passed_back(t, force, x, x_bar, e, opened, d, d_bar, earlier, w, slopes):
+    """The same for innovations and gates."""
+    n, vectors = force.shape[1], x.shape[0]
+    for q in range(e.shape[0]):
+        for i in range(3):
+            for m in range(vectors):
+                total = F(0)
+                for c in range(n):
+                    d_bar[q, i, c] += w.give[q, i, m] * x_bar[m, i, c]
+                    total += x_bar[m, i, c] * d[q, i, c]
+                slopes.give[q, i, m] += total
+            total = F(0)
+            for c in range(n):
+                share = min(max(opened[q, c], F(0)), F(1))
+                kept = min(max(e[q, i, c], F(-2)), F(2))
+                inside = F(abs(share * kept) < 1)
+                slopes.opened[t, q, c] += inside * d_bar[q, i, c] * kept
+                d_bar[q, i, c] *= inside * F(abs(e[q, i, c]) < 2) * share
+                total += d_bar[q, i, c] * force[i, c]
+            slopes.read[q, i] += total
+            for m in range(vectors):
+                total = F(0)
+                for c in range(n):
+                    earlier[m, i, c] += w.take[q, i, m] * d_bar[q, i, c]
+                    total += d_bar[q, i, c] * x[m, i, c]
+                slopes.take[q, i, m] += total
+
+
+@njit(cache=True, error_model="numpy", fastmath=True)
+def _gates(slope, trace, share, gate, level, onset):
+    """From the gradient by the gates' openings to that by their weights, levels and onsets."""
+    steps, gates, n = slope.shape
+    u_bar = np.zeros((gates, n), F)
+    for t in range(steps - 1, -1, -1):
+        for q in range(gates):
+            for c in range(n):
+                opened, down = trace.opened[t, q, c], slope[t, q, c]
+                if opened >= 1:
+                    down *= LEAK * (down > 0)
+                elif opened <= 0:
+                    down *= LEAK * (down < 0)
+                level[q] += down
+                u_bar[q, c] += down
+                for k in range(FELT):
+                    gate[q, k] += u_bar[q, c] * share[q] * trace.felt[t, k, c]
+                u_bar[q, c] *= F(1) - share[q]
+    for q in range(gates):
+        for c in range(n):
+            onset[q] += u_bar[q, c]

@@ -1,0 +1,155 @@
+"""Streams of readings that the circuit learns from: parts of flights and of motion in the hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from estimators.circuit.parameters import GRAVITY
+from quadsim.rotation import multiply_core, normalize_core, quat_rotate_inverse
+from quadsim.runs.compiled import njit
+
+from ..augment import Augmentation, augment
+from ..data import SIGNALS, TrainingFlights, load_training_flights
+
+Floats = NDArray[np.float32]
+BLOCK = 32
+"""Streams that are drawn at once."""
+EARLY = 0.25
+"""Share of the streams that begin where a flight does."""
+SWAYING = 0.7
+"""Share of the streams in the hand to which translation is added."""
+SWAY_HZ, SWAY_M, SWAY_MAX = (0.3, 2.5), 0.5, 40.0
+"""Frequency of a hand's translation, its largest amplitude [m] and its largest acceleration [m/s²]. A hand's
+position is bounded, and its acceleration may be large."""
+
+
+class Streams(NamedTuple):
+    """Readings and what they should give, by stream; the copies last as the kernels have them."""
+
+    angle: Floats  #: body rate times the time of a sample (streams, T, 3) [rad]
+    force: Floats  #: specific force (streams, T, 3) [9.81 m/s²]
+    up: Floats  #: the world's up in body axes (streams, T, 3)
+
+    def batch(self, rows: NDArray[np.int64]) -> tuple[Floats, Floats, Floats]:
+        """Some of them, each (T, 3, n)."""
+        angle, force, up = (np.ascontiguousarray(each[rows].transpose(1, 2, 0)) for each in self)
+        return angle, force, up
+
+
+def load_motion(paths: Sequence[str | Path]) -> tuple[list[TrainingFlights], list[TrainingFlights]]:
+    """Datasets of flights, and those of motion in the hand, which have no vehicle.
+
+    Raises:
+        FileNotFoundError: A dataset is not there.
+        ValueError: One cannot be used.
+    """
+    parts = [load_training_flights([path]) for path in paths]
+    return [part for part in parts if part.vehicles], [part for part in parts if not part.vehicles]
+
+
+def draw_streams(
+    flights: Sequence[TrainingFlights],
+    hands: Sequence[TrainingFlights],
+    count: int,
+    steps: int,
+    hand_share: float,
+    augmentation: Augmentation,
+    rng: np.random.Generator,
+    progress: Callable[[int, int], None] | None = None,
+) -> Streams:
+    """Draw streams of T = `steps` samples, each with sensor errors of its own.
+
+    Where there is only one kind of motion, all streams are of that kind.
+    """
+    hand_share = hand_share if flights and hands else float(not flights)
+    kinds = rng.random(-(-count // BLOCK)) < hand_share
+    done = Streams(*(np.empty((count, steps, 3), np.float32) for _ in Streams._fields))
+    for k, by_hand in enumerate(kinds):
+        part = slice(k * BLOCK, min((k + 1) * BLOCK, count))
+        readings = _block(hands if by_hand else flights, part.stop - part.start, steps, bool(by_hand), rng)
+        rate_hz = (hands if by_hand else flights)[0].rate_hz
+        gyro, accel, up = augment(*readings, augmentation, rate_hz, rng)
+        done.angle[part] = held(gyro) / rate_hz
+        done.force[part] = held(accel) / GRAVITY
+        done.up[part] = up
+        if progress:
+            progress(part.stop, count)
+    return done
+
+
+def _block(
+    sets: Sequence[TrainingFlights], n: int, steps: int, by_hand: bool, rng: np.random.Generator
+) -> tuple[Floats, Floats, Floats]:
+    """True rate, specific force and up of n streams, (n, T, 3); every flight is as likely as any other."""
+    sizes = np.array([len(each) for each in sets])
+    which = rng.choice(len(sets), n, p=sizes / sizes.sum())
+    streams = []
+    for flights in (sets[k] for k in which):
+        length = flights.gyro.shape[1]
+        first = 0 if rng.random() < EARLY else rng.integers(length - steps + 1)
+        row = rng.integers(len(flights))
+        streams.append([getattr(flights, name)[row, first : first + steps] for name in SIGNALS])
+    rate, force, _, _, up = (np.stack(each) for each in zip(*streams, strict=True))
+    return rate, sway(rate, force, up, sets[0].rate_hz, rng) if by_hand else force, up
+
+
+def held(readings: Floats) -> Floats:
+    """Readings (n, T, 3) with the last good one where one is missing, and 0 before the first."""
+    lost = ~np.isfinite(readings).all(-1)
+    index = np.maximum.accumulate(np.where(lost, 0, np.arange(readings.shape[1])), axis=1)
+    return np.nan_to_num(np.take_along_axis(readings, index[..., None], 1))
+
+
+def sway(rate: Floats, force: Floats, up: Floats, rate_hz: float, rng: np.random.Generator) -> Floats:
+    """Specific force (n, T, 3) of a hand that also moves to and fro: a bounded position, in the world."""
+    n, steps, _ = rate.shape
+    place = np.zeros((n, steps, 3))
+    for k in np.flatnonzero(rng.random(n) < SWAYING):
+        usual, t = np.exp(rng.uniform(*np.log(SWAY_HZ))), 0
+        while t < steps:
+            end = min(steps, t + round(rng.uniform(3, 20) * rate_hz))
+            place[k, t:end] = _to_and_fro(end - t, usual, rate_hz, rng)
+            t = end + round(rng.uniform(0, 5) * rate_hz)
+    place = gaussian_filter1d(place, 0.04 * rate_hz, axis=1)
+    acceleration = np.gradient(np.gradient(place, axis=1), axis=1) * rate_hz**2
+    attitude = np.empty((n, steps, 4))
+    _follow(np.ascontiguousarray(rate, np.float64) / rate_hz, _from_up(up[:, 0].astype(np.float64)), attitude)
+    return force + quat_rotate_inverse(attitude, acceleration).astype(force.dtype)
+
+
+def _to_and_fro(steps: int, usual_hz: float, rate_hz: float, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Positions (T, 3) [m] about 0, of one direction and frequency that wander."""
+    hertz = usual_hz * np.exp(0.3 * rng.standard_normal())
+    wander = gaussian_filter1d(rng.standard_normal(steps + 200), 60)
+    phase = 2 * np.pi * np.cumsum(hertz * np.exp(0.2 * wander[:steps] / wander.std())) / rate_hz
+    amplitude = min(SWAY_M * rng.random() ** 1.5, SWAY_MAX / (2 * np.pi * hertz) ** 2)
+    ramp = np.minimum(1, np.minimum(np.arange(steps), np.arange(steps)[::-1]) / (0.5 * rate_hz))
+    direction = rng.standard_normal(3) * np.exp(0.7 * rng.standard_normal(3))
+    lag = rng.uniform(0, 2 * np.pi, (2, 3)) * [[rng.random() < 0.5], [True]]
+    waves = np.sin(phase[:, None] + lag[0]) + 0.3 * rng.random() * np.sin(2 * phase[:, None] + lag[1])
+    return amplitude * ramp[:, None] * direction / np.abs(direction).max() * waves
+
+
+def _from_up(up: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Quaternions (n, 4), body to world, that turn up (n, 3) to the world's z by the shortest way."""
+    x, y, z = up.T
+    quat = np.stack([1 + z, y, -x, np.zeros_like(z)], 1)
+    quat[z < -1 + 1e-6] = 0, 1, 0, 0
+    return quat / np.linalg.norm(quat, axis=1, keepdims=True)
+
+
+@njit(cache=True)
+def _follow(angle, quat, attitude):
+    """Attitudes (n, T, 4) under the turns (n, T, 3) [rad] from the first (n, 4)."""
+    for k in range(angle.shape[0]):
+        w, x, y, z = quat[k, 0], quat[k, 1], quat[k, 2], quat[k, 3]
+        for t in range(angle.shape[1]):
+            attitude[k, t, 0], attitude[k, t, 1], attitude[k, t, 2], attitude[k, t, 3] = w, x, y, z
+            a, b, c = angle[k, t, 0] / 2, angle[k, t, 1] / 2, angle[k, t, 2] / 2
+            w, x, y, z = normalize_core(*multiply_core(w, x, y, z, 1.0, a, b, c))
