@@ -142,9 +142,9 @@ def train_circuit(
         FileNotFoundError: A dataset is not there.
     """
     with alone(out):
-        _claim(run, out)
         flights, hands = load_motion(run.data)
         steps = _steps_of(run, [*flights, *hands])
+        _claim(run, out)
         rng = np.random.default_rng([run.seed, 0])
         streams = draw_streams(
             flights, hands, run.streams, steps, run.hand_share, run.augmentation, rng, None
