@@ -83,7 +83,7 @@ def untrained(vectors: int = 4, gates: int = 8, seed: int = 0, spread: float = 0
         vectors: V, at least 4.
         gates: Q, at least 8.
         seed: Of the noise.
-        spread: Standard deviation of what is added to the weights, to tell units apart that training will
+        spread: Standard deviation of what is added to the weights, to distinguish units that training will
             use; relative to 0.01 /s.
     """
     rng = np.random.default_rng(seed)

@@ -66,7 +66,7 @@ FORCE = 0.25
 TURN_RATE = 2.0**-TURN_BITS * 200
 """Body rate of a quantum of angle in every step [rad/s], whatever the steps a sample."""
 BIAS_RATE = TURN_RATE * BIAS_UNITS / ANGLE_UNITS
-"""Bias of a spike in every step, the largest that can be told [rad/s]."""
+"""Bias of a spike in every step, the largest that can be represented [rad/s]."""
 LEAD = 3
 """Half steps by which a vector's spikes run ahead of it in a turn. A turn reaches the vector a step and a
 half after the middle of the spikes that it multiplied; with the lead, its length stays as it is."""
@@ -95,7 +95,7 @@ class Circuit(NamedTuple):
 class State(NamedTuple):
     """What a copy keeps from step to step, as parts of its row of numbers."""
 
-    angle: Int32s  #: of the gyroscope, that the encoder has not yet told (3,)
+    angle: Int32s  #: of the gyroscope, that no spike has yet represented (3,)
     force: Int32s  #: of the accelerometer (3,)
     x: Int32s  #: vectors (V, 3)
     y: Int32s  #: their somas (V, 3)
