@@ -43,9 +43,9 @@ def ns_per_sample(name: str, gyro: NDArray, accel: NDArray, repetitions: int) ->
 
 
 def torch_gru(gyro: NDArray, accel: NDArray) -> float:
-    """Nanoseconds a sample of PyTorch's GRU with the sizes of att-rnn, its inputs scaled already."""
+    """Nanoseconds a sample of PyTorch's GRU with the sizes of att-rnn-paper, its inputs scaled already."""
     torch.set_num_threads(1)
-    network = torch.nn.GRU(6, load_network("att-rnn")[0].hidden, num_layers=2, batch_first=True)
+    network = torch.nn.GRU(6, load_network("att-rnn-paper")[0].hidden, num_layers=2, batch_first=True)
     x = torch.tensor(np.concatenate([gyro, accel], axis=-1), dtype=torch.float32)
     with torch.no_grad():
         network(x[:, :10])
@@ -67,7 +67,9 @@ def measure(flights: int = 16, seconds: float = 100.0) -> list[Row]:
     for name, make in (("Mahony", ahrs.filters.Mahony), ("Madgwick", ahrs.filters.Madgwick)):
         theirs = best_of(lambda make=make: make(gyr=gyro[0, few], acc=accel[0, few], frequency=RATE_HZ), 2)
         found[f"*ahrs, {name}*"] = theirs / len(gyro[0, few]) * 1e9
-    found[f"*PyTorch, the GRU of att-rnn, {flights} sequences*"] = torch_gru(gyro[:, few], accel[:, few])
+    found[f"*PyTorch, the GRU of att-rnn-paper, {flights} sequences*"] = torch_gru(
+        gyro[:, few], accel[:, few]
+    )
     return [
         {"estimator": name, "run_ns": f"{ns:.0f}", "run_over_vqf": f"{ns / cpp:.2f}"}
         for name, ns in found.items()

@@ -32,7 +32,7 @@ from quadsim.flight.scenario import changed
 from quadsim.runs.console import progress_bar
 
 Array = NDArray[np.float64]
-NAME = "att-snn-circuit"
+NAME = "att-snn"
 FLIGHTS, DURATION_S = 6, 60.0
 SETS = {
     "rough px4-quad": ("robust", {"vehicle": "px4-quad"}, 8601),
@@ -80,8 +80,8 @@ def estimators(home: Flights) -> dict[str, AttitudeEstimator]:
         "2 steps": spiking(p, 2),
         "1 step": spiking(p, 1),
         "silenced": NetworkEstimator(Level(), RATE_HZ),
-        "att-snn": create("att-snn"),
-        "att-rnn": create("att-rnn"),
+        "att-snn-paper": create("att-snn-paper"),
+        "att-rnn-paper": create("att-rnn-paper"),
         "vqf": create("vqf"),
         "imm": create("imm"),
     }

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pages import Page, Parts, confirmed, row
 from simulated import simulated
 
+from estimators.circuit.file import is_circuit
 from estimators.control.controller import create_controller
 from estimators.evaluation.flights import load_flights
 from estimators.export.formats import export_weights
@@ -32,7 +33,9 @@ CLOCK_HZ, RATE_HZ = 168e6, 500.0
 
 def networks() -> list[str]:
     """The shipped networks in the chip's integers."""
-    return [name for name in [*shipped_names(), *shipped_controllers()] if _on_chip(name)]
+    return [
+        name for name in [*shipped_names(), *shipped_controllers()] if not is_circuit(name) and _on_chip(name)
+    ]
 
 
 def _on_chip(name: str) -> bool:

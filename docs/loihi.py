@@ -24,6 +24,8 @@ from estimators.networks.network import silenced
 from estimators.networks.on_chip import OnLoihi
 from estimators.networks.weights_file import Tensors, load_network
 
+NAME = "att-snn-hummingbird"
+"""The network that the page describes."""
 PROFILES = (128, 64, 48, 32, 24)
 LATENCY_ROUNDS = 60
 """Turns of 100 calls."""
@@ -39,7 +41,7 @@ def core_rows(core: OnLoihi) -> list[str]:
 
 def profile_rows(tensors: Tensors, flights: Flights, silenced_deg: str) -> list[str]:
     """What sharing decay profiles costs."""
-    config, _ = load_network("att-snn")
+    config, _ = load_network(NAME)
     shared = {"one a neuron": tensors} | {str(k): share_profiles(tensors, k) for k in PROFILES}
     return [
         row(name, len(OnLoihi(config, each).cores), f"{error_deg(config, each, flights):.2f}", silenced_deg)
@@ -83,7 +85,7 @@ def summary_rows(found: Inspection) -> list[str]:
 def values(page: Page, given: Namespace) -> Parts:
     """Measure everything, and draw."""
     flights = load_flights([simulated("val", given.data)])
-    config, tensors = load_network("att-snn")
+    config, tensors = load_network(NAME)
     found = inspect(config, tensors, flights)
     silenced_deg = f"{error_deg(config, silenced(config, tensors), flights):.2f}"
     rate_hz = config.rate_hz * config.steps_per_sample

@@ -17,7 +17,7 @@ from quadsim.estimator import AttitudeEstimator
 from scenarios.bench.recommendation import recommendation
 
 WITHOUT_DRAG = ("mahony", "madgwick", "ekf", "eskf", "vqf")
-DRAG, MODELS, CHIP, GRU = "ekf-drag", "imm", "att-snn-loihi", "att-rnn"
+DRAG, MODELS, CHIP, FLOATS = "ekf-drag", "imm", "att-snn-loihi", "att-rnn"
 ALONE = "att-snn-hummingbird"
 VEHICLE = "hummingbird"
 HEAD = (
@@ -44,7 +44,7 @@ def values(page: Page, given: Namespace) -> Parts:
     package = {"vqf, package's parameters": vqf_with_defaults()}
     filters = made_of(WITHOUT_DRAG, RATE_HZ) | package
     models = made_of([MODELS], RATE_HZ)[MODELS]
-    trained = made_of([CHIP, GRU], RATE_HZ) | {ALONE: create(CHIP, RATE_HZ, weights=ALONE)}
+    trained = made_of([CHIP, FLOATS], RATE_HZ) | {ALONE: create(CHIP, RATE_HZ, weights=ALONE)}
     both = filters | {MODELS: models} | trained
     sets = recordings(given.recordings)
     scores = [score(name, sets[name], both) for name in (BROAD, PHANTOM4)]
@@ -68,8 +68,8 @@ def values(page: Page, given: Namespace) -> Parts:
         "`imm`, needs no data of the vehicle": row_of(MODELS),
         "`ekf-drag`, given the vehicle's drag": [f"{drag:.2f}", f"{drag_in_rotorpy:.2f}", "–", "–"],
         "**Att-SNN on the emulated chip**": row_of(CHIP),
-        "Att-RNN, a GRU network in floats": row_of(GRU),
-        "Att-SNN trained for this Hummingbird only": row_of(ALONE),
+        "Att-RNN, the same network in floats": row_of(FLOATS),
+        "a network of layers, trained for this Hummingbird only": row_of(ALONE),
         "always level": errors(level, [each.silenced(CHIP) for each in scores]),
     }
     return {

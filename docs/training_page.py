@@ -11,6 +11,7 @@ from simulated import estimate_of, simulated
 
 from estimators import create
 from estimators.analysis.activity import record
+from estimators.circuit.file import is_circuit
 from estimators.evaluation.comparison import silenced_twin
 from estimators.evaluation.flights import Flights, load_flights
 from estimators.metrics import attitude_error
@@ -25,6 +26,15 @@ from training.optim import LOOKAHEAD_ALPHA, LOOKAHEAD_K
 Array = NDArray[np.float64]
 
 
+NAME = "att-snn-hummingbird"
+"""The network that the page describes."""
+
+
+def layered() -> list[str]:
+    """Shipped networks of layers."""
+    return [name for name in shipped_names() if not is_circuit(name)]
+
+
 def without_rounding(name: str) -> NetworkEstimator:
     """A spiking network with its quantised weights, but real-valued states."""
     config, tensors = load_network(name)
@@ -33,12 +43,12 @@ def without_rounding(name: str) -> NetworkEstimator:
 
 
 def cost_of_rounding(flights: Flights) -> float:
-    """What rounding the states of `att-snn` changes of its error [°]; in floats it has the chip's numbers."""
+    """What rounding the states changes of the error [°]; in floats the network has the chip's numbers."""
     chip, floats, real = (
         estimate_of(est, flights)
-        for est in (create("att-snn-loihi"), create("att-snn"), without_rounding("att-snn"))
+        for est in (create("att-snn-loihi", weights=NAME), create(NAME), without_rounding(NAME))
     )
-    confirmed("att-snn: estimates that differ from those of att-snn-loihi", int((chip != floats).sum()))
+    confirmed(f"{NAME}: estimates that differ on the emulated chip", int((chip != floats).sum()))
     rounded, unrounded = (attitude_error(each, flights.truth).mean for each in (chip, real))
     return abs(rounded - unrounded)
 
@@ -46,15 +56,14 @@ def cost_of_rounding(flights: Flights) -> float:
 def result_rows(flights: Flights, data: Path) -> list[str]:
     """Errors of the shipped networks from an unknown start, at home and in RotorPy, silenced beside them."""
     rows = []
-    for name in shipped_names():
-        model = load_network(name)[0].model
-        network, twin = create(model, weights=name), silenced_twin(model)
+    for name in ("att-snn", "att-rnn", *layered()):
+        network, twin = create(name), silenced_twin(name)
         assert twin is not None
         error, silenced = (
             attitude_error(estimate_of(est, flights), flights.truth) for est in (network, twin)
         )
         low, high = error.mean_interval()
-        rotorpy = foreign_cell(model, lambda _, est=network: est, data)
+        rotorpy = foreign_cell(name, lambda _, est=network: est, data)
         rows.append(
             row(f"`{name}`", f"{error.mean:.2f}", f"{low:.2f}–{high:.2f}", f"{silenced.mean:.2f}", rotorpy)
         )
@@ -64,7 +73,7 @@ def result_rows(flights: Flights, data: Path) -> list[str]:
 def weight_rows(flights: Flights) -> list[str]:
     """Size of the shipped networks, what they were trained on, and spike rates of the spiking ones."""
     rows = []
-    for name in shipped_names():
+    for name in layered():
         config, tensors = load_network(name)
         rates = ("–", "–")
         if config.model == "att-snn":
@@ -97,8 +106,8 @@ def free_parameters(tensors: Tensors) -> int:
 def values(page: Page, given: Namespace) -> Parts:
     """Measure."""
     flights = load_flights([simulated("test", given.data)])
-    config, tensors = load_network("att-snn")
-    best = make_config("best", data="x")
+    config, tensors = load_network(NAME)
+    best = make_config("hummingbird", data="x")
     return {
         "flights": str(len(flights.gyro)),
         "duration": f"{flights.gyro.shape[1] / flights.rate_hz:g}",

@@ -18,7 +18,7 @@ from quadsim.imu.spec import ImuSpec, load_imu
 from quadsim.runs.fingerprint import ASSETS
 from quadsim.vehicle import Vehicle, load_vehicle
 
-from .circuit.file import is_circuit, load_circuit, shipped_circuits
+from .circuit.file import is_circuit, load_circuit
 from .custom import declared, is_custom, own
 from .filters.parameter import Parameter, checked
 from .networks.weights_file import END, load_network, shipped_controllers, shipped_names
@@ -71,8 +71,7 @@ def parameters(name: str) -> Mapping[str, Parameter]:
 
 def is_weights(name: str) -> bool:
     """Whether a name is that of a network's weights: a path, or a name under which some ship."""
-    ships = name in (*shipped_names(), *shipped_circuits())
-    return name.endswith(".safetensors") or (ships and name not in NETWORKS)
+    return name.endswith(".safetensors") or (name in shipped_names() and name not in NETWORKS)
 
 
 def create(
@@ -167,12 +166,10 @@ def training_misfit(name: str, vehicle: str | Path | Vehicle) -> str:
         name: Of an estimator or a controller, as `create` and `create_controller` take it.
         vehicle: The simulated vehicle, as in `create`.
     """
-    network = name.removesuffix("-loihi")
-    ships = network in (*shipped_names(), *shipped_circuits(), *shipped_controllers())
-    if not ships and not network.endswith(END):
+    if name not in (*NETWORKS, *shipped_names(), *shipped_controllers()) and not name.endswith(END):
         return ""
     try:
-        config = load_circuit(network)[0] if is_circuit(network) else load_network(network)[0]
+        config = load_circuit(name)[0] if is_circuit(name) else load_network(name)[0]
         trained, (airframe, _) = config.training.get("vehicles"), loaded(vehicle, None)
     except (OSError, ValueError):  # it cannot fly, which its flight reports
         return ""
@@ -262,7 +259,7 @@ def airframe_constants(name: str, vehicle: str | Path | Vehicle | None) -> dict[
 
 def _shipped(name: str) -> Entry:
     if name not in SHIPPED:
-        known = dict.fromkeys([*names(), *shipped_names(), *shipped_circuits()])
+        known = dict.fromkeys([*names(), *shipped_names()])
         raise ValueError(f'unknown estimator "{name}"; {nearest(name, known)}')
     return SHIPPED[name]
 
@@ -280,9 +277,10 @@ def _network(name: str, rate_hz: float, params: Mapping[str, object]) -> Attitud
         if key != "weights":
             raise ValueError(f'{name} has no parameter "{key}"; {nearest(key, ["weights"])}')
     weights = params.get("weights")
-    if not isinstance(weights, str | Path | None):
+    weights = name if weights is None else weights
+    if not isinstance(weights, str | Path):
         raise ValueError(f"{name}: weights = {weights!r} is not a path")
-    if weights is not None and is_circuit(weights):
+    if is_circuit(weights):
         config, circuit = load_circuit(weights)
         return circuit_estimator(name, circuit, config.steps_per_sample, rate_hz)
     return create_network(name, rate_hz, weights=weights)

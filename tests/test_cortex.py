@@ -42,7 +42,7 @@ def samples(seed=0):
 
 
 def estimated(rows):
-    config, tensors = load_network("att-snn")
+    config, tensors = load_network("att-snn-hummingbird")
     est = NetworkEstimator(OnLoihi(config, tensors), config.rate_hz)
     return np.array([(est.update(row[None, :3], row[None, 3:]), est.up[0])[1] for row in rows])
 
@@ -55,7 +55,8 @@ def controlled(name, rows):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "core"), [("att-snn", CORES[0]), *((name, CORES[1]) for name in shipped_controllers())]
+    ("name", "core"),
+    [("att-snn-hummingbird", CORES[0]), *((name, CORES[1]) for name in shipped_controllers())],
 )
 def test_a_network_has_the_emulators_outputs_and_a_step_fits_500_hz(tmp_path, core, name):
     config, _ = load_network(name)

@@ -21,6 +21,8 @@ Array = NDArray[np.floating]
 
 VIBRATION_HZ = (60.0, 250.0)
 """Range of the frequency of a rotor, which the sampling folds."""
+RANGES = (1.0, 35.0), (12.0, 160.0)
+"""Least and largest range of a gyroscope [rad/s] and of an accelerometer [m/s²] that saturate."""
 WANDER_HZ = 3.0
 """Standard deviation of that frequency within a stream."""
 
@@ -70,6 +72,10 @@ class Augmentation(Strict):
     """Share of the streams that lose samples."""
     drop_max: Share = 0.0
     """Largest share of a stream's samples that it loses, each by itself."""
+    gap_max_s: Annotated[float, Between(0.0, 10.0, "s")] = 0.0
+    """Longest time without samples in such a stream, once [s]."""
+    saturated_share: Share = 0.0
+    """Share of the streams whose sensors end at ranges that are drawn log-uniform from `RANGES`."""
 
 
 def augment(
@@ -128,9 +134,18 @@ def augment(
         if augmentation.noise_factor_max > 1:
             noise *= np.exp(rng.uniform(0, np.log(augmentation.noise_factor_max), (n, 1, 1))).astype(dtype)
         measured.append(signal + offset + noise * dtype.type(white_noise_sd(density, 1 / rate_hz)))
+    if augmentation.saturated_share > 0:
+        saturated = rng.random((n, 1, 1)) < augmentation.saturated_share
+        for readings, ends in zip(measured, RANGES, strict=True):
+            end = np.exp(rng.uniform(*np.log(ends), (n, 1, 1)))
+            np.clip(readings, -end, end, out=readings, where=saturated)
     if augmentation.drop_share > 0:
         share = augmentation.drop_max * rng.random((n, 1)) * (rng.random((n, 1)) < augmentation.drop_share)
         lost = rng.random(up.shape[:2]) < share
+        if augmentation.gap_max_s > 0:
+            first, length = rng.random((2, n, 1))
+            since = np.arange(up.shape[1]) - first * up.shape[1]
+            lost |= (share > 0) & (since >= 0) & (since < length * augmentation.gap_max_s * rate_hz)
         for readings in measured:
             readings[lost] = np.nan
     return measured[0], measured[1], up

@@ -8,9 +8,8 @@ from typing import Annotated, Any, Literal, NamedTuple
 from pydantic import Field, ValidationError, model_validator
 
 from estimators.loihi.layers import WEIGHT_EXP_MIN
-from estimators.networks.symmetry import OPERATIONS, is_symmetric
+from estimators.networks.symmetry import OPERATIONS
 from estimators.networks.weights_file import (
-    EXPONENTS,
     PAPER_SCALING,
     InputScaling,
     NetworkConfig,
@@ -19,7 +18,6 @@ from estimators.networks.weights_file import (
     SetPointScaling,
     StepsPerSample,
     Tensors,
-    attitude_network,
     load_network,
 )
 from quadsim.config.ranges import Between, Share
@@ -161,8 +159,6 @@ class TrainingRecipe(Strict):
 class Preset(TrainingRecipe):
     """A file of `assets/presets`, or a user's."""
 
-    needs_init: bool = False
-    """Whether a run continues from weights, which `init` has to name."""
     att_rnn: TrainingRecipe = Field(default=TrainingRecipe(), alias="att-rnn")
     """What differs for att-rnn."""
 
@@ -186,9 +182,6 @@ class TrainConfig(TrainingRecipe):
     """Threads that share a batch; the result depends on their number in the last digits only."""
     preset: str = "paper"
     """Preset that the other values started from: a shipped name or a TOML file."""
-    init: str = ""
-    """Weights to continue from, in place of `initialisation`: a file or a shipped name; they fix the layers
-    and the scaling."""
 
     @property
     def controls(self) -> bool:
@@ -205,7 +198,7 @@ class TrainConfig(TrainingRecipe):
         if self.model == "att-rnn" and self.encoding != self.hidden:
             raise ValueError(f"att-rnn: {layers} units, should be equal")
         least = len(OPERATIONS)
-        few = min(self.encoding, self.hidden) < least and not self.init
+        few = min(self.encoding, self.hidden) < least
         if self.model == "att-snn" and self.symmetric and few:
             raise ValueError(
                 f"symmetric: {layers} neurons, at least {least} of each share weights; give more, or "
@@ -220,9 +213,9 @@ class TrainConfig(TrainingRecipe):
         return self
 
     def _fits_control(self) -> None:
-        if self.data or self.validation or self.init or self.model != "att-snn":
+        if self.data or self.validation or self.model != "att-snn":
             raise ValueError(
-                "a controller is an att-snn that flies itself: leave out data, validation, init and model"
+                "a controller is an att-snn that flies itself: leave out data, validation and model"
             )
         if not self.quantised or self.symmetric or self.initialisation != "solved":
             raise ValueError("a controller is trained quantised, not symmetric, from a solved initialisation")
@@ -254,13 +247,6 @@ class TrainConfig(TrainingRecipe):
         return epoch * (self.control.rounds + 1) // self.epochs
 
 
-FROM_WEIGHTS = (
-    "model", "encoding", "hidden", "quantised", "recurrent_delay", "after_spike", "steps_per_sample",
-    "outputs",
-)  # fmt: skip
-"""Fields that the weights of `init` fix."""
-
-
 def make_config(preset: str | Path = "paper", **choices: Any) -> TrainConfig:
     """A configuration from a preset and what differs from it.
 
@@ -269,20 +255,16 @@ def make_config(preset: str | Path = "paper", **choices: Any) -> TrainConfig:
         choices: Fields of `TrainConfig`; of a table, only the keys that are given change.
 
     Raises:
-        FileNotFoundError: No such weights.
+        FileNotFoundError: No such weights of a controller's estimator.
         ValueError: One line: an unknown preset or field, or a value out of range.
     """
     loaded = load_toml(preset, "presets", Preset)
-    values = loaded.model_dump(exclude_unset=True, exclude={"needs_init", "att_rnn"})
+    values = loaded.model_dump(exclude_unset=True, exclude={"att_rnn"})
     if choices.get("model") == "att-rnn":
         values = merged(values, loaded.att_rnn.model_dump(exclude_unset=True))
     for name in {"data", "validation"} & choices.keys():
         paths = choices[name]
         choices[name] = (str(paths),) if isinstance(paths, str | Path) else tuple(map(str, paths))
-    if choices.get("init"):
-        values |= _from_weights(choices, values)
-    elif loaded.needs_init:
-        raise ValueError(f"preset {preset} continues from weights: give init, a shipped name or a file")
     try:
         changed = merged(merged(TrainingRecipe().model_dump(), values), choices)
         config = TrainConfig.model_validate(changed | {"preset": str(preset)})
@@ -292,22 +274,6 @@ def make_config(preset: str | Path = "paper", **choices: Any) -> TrainConfig:
     if len(set(paths)) < len(paths):
         raise ValueError("data and validation: a dataset is given twice, its flights would count twice")
     return config
-
-
-def _from_weights(choices: dict[str, Any], values: dict[str, Any]) -> dict[str, Any]:
-    """The fields that follow from the weights of `init`."""
-    init = choices["init"] = str(choices["init"])
-    network, tensors = attitude_network(init)
-    fixed = {name: getattr(network, name) for name in FROM_WEIGHTS}
-    for name, value in fixed.items():
-        if choices.get(name, value) != value:
-            raise ValueError(f"{name}: the weights of init have {value}, it cannot be {choices[name]}")
-    shared = is_symmetric(tensors)
-    if choices.get("symmetric") and not shared:
-        raise ValueError(f"symmetric: {init} does not share its weights, give symmetric=false")
-    finest = min((int(tensors[name].min()) for name in EXPONENTS.values() if name in tensors), default=0)
-    fixed["finest_exponent"] = min(finest, values.get("finest_exponent", 0))
-    return fixed | {"inputs": network.inputs, "symmetric": values.get("symmetric", False) and shared}
 
 
 def estimator_weights(path: str) -> tuple[NetworkConfig, Tensors]:

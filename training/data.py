@@ -21,13 +21,13 @@ from estimators.metrics import absolute_error, inclination_error
 from estimators.networks.encoder import INPUT_ONE, scaled_inputs
 from estimators.networks.gru import Recurrent
 from estimators.networks.network import NetworkEstimator, Spiking
-from estimators.networks.weights_file import LEVEL_UP, NetworkConfig, Tensors, load_network
+from estimators.networks.weights_file import LEVEL_UP, NetworkConfig, Tensors
 from quadsim.dataset.reading import open_dataset
 from quadsim.rotation import quat_rotate_inverse, roll_pitch_of_up
 
 from .augment import Augmentation, augment
 from .config import TrainConfig
-from .init import ESTIMATOR_START, initialise_from_data, initialise_from_weights, initialise_random
+from .init import ESTIMATOR_START, initialise_from_data, initialise_random
 from .models import AttRNN, AttSNN
 
 Float32 = NDArray[np.float32]
@@ -116,8 +116,6 @@ def flights_of(config: TrainConfig) -> tuple[TrainingFlights, TrainingFlights, T
         ValueError: Too few flights, or too short ones, or datasets that do not go together.
     """
     flights = load_training_flights(config.data)
-    if config.init and not math.isclose(flights.rate_hz, rate := load_network(config.init)[0].rate_hz):
-        raise ValueError(f"data at {flights.rate_hz:g} Hz, but the weights of init are for {rate:g} Hz")
     lengths = [config.steps_in(k, flights.rate_hz) for k in range(config.epochs)]
     available = flights.gyro.shape[1]
     if min(lengths) < 1:
@@ -275,9 +273,7 @@ class AttitudeTask:
         config = self.config
         spiking = config.model == "att-snn"
         model = AttSNN(config) if spiking else AttRNN(config)
-        if config.init:
-            initialise_from_weights(model, config.init)
-        elif isinstance(model, AttSNN) and config.initialisation == "random":
+        if isinstance(model, AttSNN) and config.initialisation == "random":
             initialise_random(model, config.seed)
         elif isinstance(model, AttSNN):
             batch, steps = sample_windows(config, self.flights), config.steps_per_sample

@@ -1,10 +1,9 @@
-"""Initial weights: random, solved from data, or read from a file."""
+"""Initial weights: random, or solved from data."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -12,10 +11,10 @@ import torch
 from numpy.typing import NDArray
 
 from estimators.networks.forward import real_weights
-from estimators.networks.weights_file import AXES, READINGS, SET_POINTS, load_network
+from estimators.networks.weights_file import AXES, READINGS, SET_POINTS
 
 from .config import TrainConfig, estimator_weights
-from .models import MEMBRANES, AttRNN, AttSNN
+from .models import MEMBRANES, AttSNN
 
 Range = tuple[float, float]
 TAU_LIMITS: Range = (1 / 1024, 4095 / 4096)
@@ -190,26 +189,6 @@ def _set_weights(model: AttSNN, values: Mapping[str, NDArray]) -> None:
     for name, value in values.items():
         model.set_weights(name, value)
     model.constrain()
-
-
-def initialise_from_weights(model: AttSNN | AttRNN, path: str | Path) -> None:
-    """Continue from a weights file, of a network with these layers.
-
-    Raises:
-        FileNotFoundError: No such file.
-        ValueError: Not such a file.
-    """
-    config, tensors = load_network(path)
-    if isinstance(model, AttRNN):
-        model.load_state_dict({name: torch.tensor(value) for name, value in tensors.items()})
-        return
-    values = real_weights(config, tensors)._asdict()
-    model.output_scale = config.output_scale
-    for name in model.taus:
-        model.set_taus(name, np.clip(values[name], *TAU_LIMITS))
-    for name in model.matrices:
-        model.set_weights(name, values[name])
-    model.disconnect_zeros()
 
 
 def _connect(model: AttSNN, sizes: tuple[int, int]) -> None:

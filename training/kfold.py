@@ -124,7 +124,7 @@ def run_fold(job: Job, progress: Callable[[], None] | None = None) -> Rows:
     train, _, test = flights_of(job.config)
     scores, model = [], job.config.model
     for name, flights in {TRAIN: train, TEST: test, **others}.items():
-        network = create_network(model, flights.rate_hz, result.weights)
+        network = create_network(model, flights.rate_hz, weights=result.weights)
         network.reset(len(flights))
         estimate = network.sequence(flights.gyro, flights.accel)
         error, flaw = attitude_error(estimate, flights.roll_pitch), flaw_of(estimate, flights.roll_pitch)

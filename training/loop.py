@@ -95,13 +95,6 @@ class Result:
     best: Epoch
     reason: str
     """Why it ended."""
-    before: float | None = None
-    """Score of the weights that it continued from."""
-
-    @property
-    def helped(self) -> bool:
-        """Whether the score is better than that of those weights."""
-        return self.before is None or self.best.score < self.before
 
 
 def train(
@@ -138,7 +131,6 @@ def run(config: TrainConfig, out: Path, progress: Progress | None = None) -> Res
         torch.set_num_threads(config.threads)  # the result must not depend on the machine's number of cores
         try:
             training = Training(config, task)
-            before = training.score() if config.init else None
             if (out / "checkpoint.pt").is_file():
                 training.restore(out)
             reason = _all_epochs(training, out, progress)
@@ -147,7 +139,7 @@ def run(config: TrainConfig, out: Path, progress: Progress | None = None) -> Res
         if not training.history:
             raise ValueError(f"{out}: stopped before the first epoch was over ({reason}), nothing to save")
         plot(out, training.history)
-        return Result(out / "best.safetensors", min(training.history, key=Epoch.rank), reason, before)
+        return Result(out / "best.safetensors", min(training.history, key=Epoch.rank), reason)
 
 
 def _all_epochs(training: Training, out: Path, progress: Progress | None) -> str:
@@ -195,10 +187,6 @@ class Training:
         """The slow weights as an estimator, or a controller, runs them."""
         with self.optimiser.evaluated():
             return exported(self.model, self.task.rate_hz, note or {})
-
-    def score(self) -> float:
-        """What chooses the best epoch, of the network so far."""
-        return next(iter(self.task.validate(*self.exported()).values()))
 
     def one_epoch(self) -> Epoch:
         """Train for an epoch and validate the slow weights."""

@@ -221,12 +221,6 @@ class AttSNN(nn.Module):
                 getattr(self, name).mul_(weaker[:, None])
 
     @torch.no_grad()
-    def disconnect_zeros(self) -> None:
-        """Remove every connection whose weight is 0."""
-        for name in self.matrices:
-            getattr(self, f"{name}_connected").copy_(getattr(self.weights(), name) != 0)
-
-    @torch.no_grad()
     def tensors(self) -> Tensors:
         """Its tensors for `save_network`."""
         arrays = {name: w.numpy() for name, w in self.weights()._asdict().items() if w.numel()}

@@ -89,13 +89,12 @@ def claim(out: Path, config: TrainConfig, contents: dict[str, str] | None = None
 def contents_of(config: TrainConfig, flights: dict[str, str]) -> dict[str, str]:
     """Digests of what a run reads, its flights' among them, so that a run on other files is refused."""
     digests = flights | {"code": code_digest("training.loop")}
-    for name, path in (("init", config.init), ("estimator", config.control.estimator)):
-        if path:
-            network, tensors = load_network(path)
-            digest = hashlib.blake2b(network.model_dump_json(exclude={"training"}).encode(), digest_size=16)
-            for tensor, value in sorted(tensors.items()):
-                digest.update(tensor.encode() + value.tobytes())
-            digests[name] = digest.hexdigest()
+    if path := config.control.estimator:
+        network, tensors = load_network(path)
+        digest = hashlib.blake2b(network.model_dump_json(exclude={"training"}).encode(), digest_size=16)
+        for tensor, value in sorted(tensors.items()):
+            digest.update(tensor.encode() + value.tobytes())
+        digests["estimator"] = digest.hexdigest()
     return digests
 
 

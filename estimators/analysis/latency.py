@@ -26,7 +26,7 @@ CALLS = 100
 """In a turn."""
 PAPER_US = {"Loihi (the chip)": 10.0, "SNN, PyTorch": 555.0, "GRU, PyTorch": 150.0}
 """What the paper measured, on other hardware [µs]."""
-PYTORCH = {"SNN, plain PyTorch": "att-snn", "GRU, PyTorch": "att-rnn"}
+PYTORCH = {"SNN, plain PyTorch": "att-snn-hummingbird", "GRU, PyTorch": "att-rnn-paper"}
 """What is timed beside the estimators, and which of them it computes."""
 
 Update = Callable[[NDArray[np.float64], NDArray[np.float64]], object]
@@ -36,7 +36,7 @@ class TorchSNN:
     """Att-SNN in floats, one PyTorch operation after the other, in float32."""
 
     def __init__(self) -> None:
-        self.config, tensors = load_network("att-snn")
+        self.config, tensors = load_network(PYTORCH["SNN, plain PyTorch"])
         self.weights = Weights(*(torch.tensor(w).float() for w in real_weights(self.config, tensors)))
         self.encoder, sizes = np.zeros(1, ENCODER), [len(w) for w in self.weights]
         self.state = [torch.zeros(1, sizes[k]) for k in (0, 0, 0, 1, 1, 1, 1, 3, 3)]
@@ -63,7 +63,7 @@ class TorchGRU:
     """Att-RNN with PyTorch's own GRU."""
 
     def __init__(self) -> None:
-        self.config, tensors = load_network("att-rnn")
+        self.config, tensors = load_network(PYTORCH["GRU, PyTorch"])
         self.gru = torch.nn.GRU(6, self.config.hidden, 2, batch_first=True)
         own = {name.removeprefix("gru."): torch.tensor(x) for name, x in tensors.items() if "gru" in name}
         self.gru.load_state_dict(own)
@@ -79,10 +79,12 @@ class TorchGRU:
 
 
 def contenders() -> dict[str, Update]:
-    """`update` of every estimator but the truth, and of PyTorch's two networks."""
+    """`update` of every estimator but the truth, of two networks of layers, and of these in PyTorch."""
     torch.set_num_threads(1)
     found: dict[str, Update] = {
-        name: create(name, RATE_HZ, vehicle="hummingbird").update for name in names() if name != "truth"
+        name: create(name, RATE_HZ, vehicle="hummingbird").update
+        for name in (*names(), *PYTORCH.values())
+        if name != "truth"
     }
     return found | dict(zip(PYTORCH, (TorchSNN().update, TorchGRU().update), strict=True))
 

@@ -15,12 +15,11 @@ from quadsim.config.toml import Strict, describe
 from quadsim.runs.files import write_whole
 from quadsim.runs.fingerprint import ASSETS
 
-from ..networks.weights_file import END, ordered
+from ..networks.weights_file import CIRCUIT, END, ordered
 from .parameters import Parameters, expected_shapes
 
-FORMAT = "circuit-1"
-SHIPPED = ASSETS / "circuits"
-"""Where the circuits are that ship."""
+SHIPPED = dict.fromkeys(("att-snn", "att-snn-loihi", "att-rnn"), ASSETS / "weights" / f"att-snn{END}")
+"""Names under which a circuit ships, and its file."""
 
 
 class CircuitConfig(Strict):
@@ -51,7 +50,7 @@ def save_circuit(path: str | Path, config: CircuitConfig, p: Parameters) -> None
     """
     _check(path, config, p._asdict())
     tensors = {name: np.ascontiguousarray(value) for name, value in p._asdict().items()}
-    metadata = {"format": FORMAT, "config": config.model_dump_json()}
+    metadata = {"format": CIRCUIT, "config": config.model_dump_json()}
     write_whole(path, ordered(save(tensors, metadata=metadata)))
 
 
@@ -62,7 +61,7 @@ def is_circuit(path: str | Path) -> bool:
         return False
     try:
         with safe_open(file, framework="numpy") as content:
-            return (content.metadata() or {}).get("format") == FORMAT
+            return (content.metadata() or {}).get("format") == CIRCUIT
     except SafetensorError:
         return False
 
@@ -71,7 +70,7 @@ def load_circuit(path: str | Path) -> CircuitFile:
     """Read a circuit that `save_circuit` wrote.
 
     Args:
-        path: The file, or "att-snn-circuit", the one that ships.
+        path: The file, or "att-snn", the one that ships.
 
     Raises:
         FileNotFoundError: No such file.
@@ -79,12 +78,12 @@ def load_circuit(path: str | Path) -> CircuitFile:
     """
     file = _place(path)
     if not file.is_file():
-        raise FileNotFoundError(f"{path}: no such file of a circuit; the one that ships is att-snn-circuit")
+        raise FileNotFoundError(f"{path}: no such file of a circuit; the one that ships is att-snn")
     try:
         with safe_open(file, framework="numpy") as content:
             metadata = content.metadata() or {}
-            if metadata.get("format") != FORMAT:
-                raise ValueError(f"{path}: not a circuit, which quadsim train --model circuit makes")
+            if metadata.get("format") != CIRCUIT:
+                raise ValueError(f"{path}: not a circuit, which quadsim train makes")
             config = CircuitConfig.model_validate_json(metadata["config"])
             declared = {name: tuple(content.get_slice(name).get_shape()) for name in content.keys()}  # noqa: SIM118
             if wrong := [name for name in Parameters._fields if name not in declared]:
@@ -98,13 +97,8 @@ def load_circuit(path: str | Path) -> CircuitFile:
     return CircuitFile(config, Parameters(**tensors))
 
 
-def shipped_circuits() -> list[str]:
-    """Names of the circuits that ship with the package."""
-    return sorted(each.stem for each in SHIPPED.glob(f"*{END}"))
-
-
 def _place(path: str | Path) -> Path:
-    return SHIPPED / f"{path}{END}" if str(path) in shipped_circuits() else Path(path)
+    return SHIPPED.get(str(path), Path(path))
 
 
 def _check(path: str | Path, config: CircuitConfig, tensors: dict[str, np.ndarray]) -> None:

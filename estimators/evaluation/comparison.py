@@ -28,7 +28,6 @@ from ..metrics import (
 )
 from ..networks.gru import Recurrent
 from ..networks.network import NetworkEstimator, Spiking, silenced
-from ..networks.on_chip import OnLoihi
 from ..networks.weights_file import load_network, shipped_names
 from ..registry import FILTERPY, NETWORKS, create, is_weights
 from ..running import missing_samples, require_same, run_quietly, streamed_once
@@ -273,8 +272,8 @@ def silenced_twin(name: str, rate_hz: float = 200.0) -> NetworkEstimator | None:
         return None
     if is_circuit(name):
         return NetworkEstimator(Level(), rate_hz)
-    config, tensors = load_network(name.removesuffix("-loihi"))
-    core = {"att-rnn": Recurrent, "att-snn": OnLoihi if name.endswith("-loihi") else Spiking}[config.model]
+    config, tensors = load_network(name)
+    core = {"att-rnn": Recurrent, "att-snn": Spiking}[config.model]
     return NetworkEstimator(core(config, silenced(config, tensors)), rate_hz)
 
 

@@ -26,13 +26,13 @@ Array = NDArray[np.float64]
 NO_SET_POINTS = np.zeros((0, 0))
 
 
-def create_network(name: str, rate_hz: float = 200.0, weights: str | Path | None = None) -> NetworkEstimator:
-    """Make a network estimator.
+def create_network(name: str, rate_hz: float = 200.0, *, weights: str | Path) -> NetworkEstimator:
+    """Make an estimator that runs a network of layers.
 
     Args:
         name: "att-snn", "att-snn-loihi" (which has to fit the chip) or "att-rnn".
         rate_hz: Samples per second; the one that the weights were trained for.
-        weights: Weights file; None: the ones that ship.
+        weights: Weights file, or the name of some that ship.
 
     Raises:
         FileNotFoundError: No such file.
@@ -41,7 +41,7 @@ def create_network(name: str, rate_hz: float = 200.0, weights: str | Path | None
     if name not in CORES:
         raise ValueError(f"no network {name!r}, there are att-snn, att-snn-loihi and att-rnn")
     model = name.removesuffix("-loihi")
-    config, tensors = attitude_network(model if weights is None else weights)
+    config, tensors = attitude_network(weights)
     if config.model != model:
         raise ValueError(f"{weights}: weights of {config.model}, {name} needs {model}")
     if not np.isclose(rate_hz, config.rate_hz):

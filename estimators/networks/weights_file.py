@@ -63,6 +63,8 @@ EXPONENTS = {"w_ff": "exp_ff", "w_rec": "exp_rec", "w_after": "exp_after"}
 network without them has exponents of 0."""
 DTYPES = {"I16": "int16", "F16": "float16", "F32": "float32", "F64": "float64"}
 """NumPy's names of a file's types of numbers."""
+CIRCUIT = "circuit-1"
+"""Format of files that hold a circuit (`estimators.circuit.file`)."""
 OLD_READS = "controller"
 """Where the metadata of earlier files have `reads`."""
 LEVEL_UP = np.array([0.0, 0.0, 1.0])
@@ -230,7 +232,7 @@ def load_network(path: str | Path) -> Network:
     """Read a network that `save_network` wrote.
 
     Args:
-        path: The file, or the name of weights that ship, such as "att-snn", controllers included.
+        path: The file, or the name of weights that ship, such as "att-snn-paper", controllers included.
 
     Raises:
         FileNotFoundError: No such file.
@@ -289,6 +291,9 @@ def _config_of(path: Path, metadata: Mapping[str, str]) -> NetworkConfig:
     if "config" not in metadata:
         raise ValueError(f"{path}: no network configuration in the metadata")
     if (found := metadata.get("format")) != FORMAT:
+        if found == CIRCUIT:
+            layered = ", ".join(name for name in shipped_names() if name != "att-snn")
+            raise ValueError(f"{path}: a circuit, not a network of layers; of these ship {layered}")
         of = "of quadsim 0.1" if found is None else f"of format {found!r}"
         raise ValueError(f"{path}: weights {of}, this version of quadsim reads {FORMAT!r}; train them again")
     own = json.loads(metadata["config"]) | json.loads(metadata.get(OLD_READS, "{}"))

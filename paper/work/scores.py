@@ -79,7 +79,7 @@ def folds(folder: Path, inputs: Inputs, *, mixed: Sequence[str], only: Mapping[s
         if stage in only:
             (other,) = domains - set(own)
             test = load_training_flights([inputs[other] / FLIGHTS])
-        network = create_network(config.model, train.rate_hz, inputs[stage] / WEIGHTS)
+        network = create_network(config.model, train.rate_hz, weights=inputs[stage] / WEIGHTS)
         found[stage] = {}
         for name, flights in (("train", train), ("test", test)):
             network.reset(len(flights))

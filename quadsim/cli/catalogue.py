@@ -85,10 +85,9 @@ def items(kind: Kind) -> list[Item]:
 
             return [Item("cascaded", CASCADED), *_weights(shipped_controllers())]
         case Kind.WEIGHTS:
-            from estimators.circuit.file import shipped_circuits
             from estimators.networks.weights_file import shipped_controllers, shipped_names
 
-            return _weights([*shipped_circuits(), *shipped_names(), *shipped_controllers()])
+            return _weights([*shipped_names(), *shipped_controllers()])
     from ..config.toml import preset_names, shipped_folder
 
     root = shipped_folder(kind)

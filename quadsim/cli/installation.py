@@ -32,6 +32,6 @@ def compile_code(workers: Workers = None) -> None:
             flights = generate(load_recipe("hummingbird"), 4, 2.0, Path(folder) / "flights.zarr", workers=1)
             for k, model in enumerate(("att-snn", "att-rnn")):
                 bar(k, 2, model)
-                train(model, str(flights), Path(folder) / model, "best", **TRAINING)
+                train(model, str(flights), Path(folder) / model, "paper", **TRAINING)
             bar(2, 2)
     console.print("everything is compiled")

@@ -39,11 +39,10 @@ def train(
     model: Annotated[
         str,
         typer.Option(
-            help="circuit: the spiking circuit that follows turns, which ships as att-snn-circuit. "
-            "att-snn, att-rnn: networks of layers, as in the paper."
+            help="With a preset of networks of layers: att-snn, which spikes, or att-rnn, in floats."
         ),
     ] = "att-snn",
-    preset: Preset = "paper",
+    preset: Preset = "att-snn",
     validation: Annotated[
         list[Path] | None,
         typer.Option(help="Dataset that selects the best epoch; default: a part of --data."),
@@ -65,10 +64,10 @@ def train(
 ) -> None:
     """Train a spiking network for the chip, or its twin in floats.
 
-    --model circuit trains the spiking circuit that ships, for any IMU, from the equation of gravity in a
-    turning frame. Other models are networks of layers, by default with the paper's recipe. The preset
-    hummingbird is more accurate for one airframe and IMU, best for any IMU. control-attitude and
-    control-separate train attitude controllers by imitation, and generate their own flights.
+    The preset att-snn trains the spiking circuit that ships, for any IMU, from the equation of gravity in a
+    turning frame; tune continues it on your own logs. Other presets train networks of layers: paper by the
+    paper's recipe, hummingbird for one airframe and IMU. control-attitude and control-separate train
+    attitude controllers by imitation, and generate their own flights.
 
     The run folder gets the weights, the losses and their plot. Ctrl-C keeps what there is, and the same
     command continues the run.
@@ -76,17 +75,24 @@ def train(
     With --folds, the command writes the paper's Table 1 (table1.csv), all folds (kfold.csv) and a run folder
     for each fold. --workers sets the number of folds that run in parallel.
 
-    Example: quadsim train --model circuit --data data/train.zarr --validation data/val.zarr --out runs/snn
+    Example: quadsim train --data data/train.zarr --validation data/val.zarr --out runs/snn
 
-    Example: quadsim train --data data/train.zarr --data data/train-px4.zarr --folds 5 --out runs/kfold
+    Example: quadsim train --preset paper --data data/a.zarr --data data/b.zarr --folds 5 --out runs/kfold
     """
     choices = fields_of(set_, *TRAINED, "workers", "executor")
     if epochs is not None:
         choices["epochs"] = epochs
     if validation:
         choices["validation"] = tuple(map(str, validation))
-    if model == "circuit":
-        _train_circuit(out, data or [], preset, folds, choices | {"seed": seed})
+    from training.circuit.loop import is_recipe
+
+    if is_recipe(preset):
+        layered = {"--model": model != "att-snn", "--folds": folds, "--epochs": epochs}
+        if wrong := [option for option, given in layered.items() if given]:
+            raise ValueError(
+                f"{wrong[0]} is not for the circuit of {preset}; its length is --set updates=13000"
+            )
+        _train_circuit(out, data or [], preset, choices | {"seed": seed})
     elif folds:
         _cross_validate(out, data or [], model, preset, folds, workers, choices | {"seed": seed})
     else:
@@ -114,30 +120,24 @@ def _train_network(out: Path, data: list[Path], model: str, preset: str, choices
     console.print(
         f"{result.weights}: validation {best} at epoch {best.epoch + 1}; {result.reason}", soft_wrap=True
     )
-    if result.before is not None:
-        helped = "it helped" if result.helped else "it did not help, keep the weights you had"
-        console.print(f"loss before {result.before:.4g}, after {best.score:.4g}: {helped}", soft_wrap=True)
     if result.reason == INTERRUPTED:
         raise KeyboardInterrupt
 
 
-def _train_circuit(
-    out: Path, data: list[Path], preset: str, folds: int | None, choices: dict[str, Any]
-) -> None:
+def _train_circuit(out: Path, data: list[Path], preset: str, choices: dict[str, Any]) -> None:
     from training.circuit.loop import CircuitRun, Row, make_run, train_circuit
 
-    if folds or "epochs" in choices:
-        raise ValueError("--folds and --epochs are not for a circuit; its length is --set updates=13000")
-    run = make_run("att-snn-circuit" if preset == "paper" else preset, data=tuple(map(str, data)), **choices)
-    with progress_bar("train circuit", "updates") as bar:
+    run = make_run(preset, data=tuple(map(str, data)), **choices)
+    with progress_bar(f"train {preset}", "updates") as bar:
 
         def progress(row: Row, run: CircuitRun) -> None:
             bar(row.updates, run.updates, f"error {math.degrees(row.loss):.2f}°")
 
-        weights, errors = train_circuit(run, out, progress)
-    for name, error in errors.items():
-        console.print(f"{name}: {error:.2f}° mean absolute error", soft_wrap=True)
-    console.print(f"{weights}: {run.updates} updates", soft_wrap=True)
+        trained = train_circuit(run, out, progress)
+    for name, error in trained.errors.items():
+        before = f", {trained.before[name]:.2f}° before" if run.init else ""
+        console.print(f"{name}: {error:.2f}° mean absolute error{before}", soft_wrap=True)
+    console.print(f"{trained.weights}: {run.updates} updates", soft_wrap=True)
 
 
 def _cross_validate(

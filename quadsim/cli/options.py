@@ -38,8 +38,8 @@ Pool = Annotated[
 Preset = Annotated[
     str,
     typer.Option(
-        help="paper: the paper's recipe. best: the shipped networks' recipe, for any IMU. hummingbird:"
-        " for one airframe. tune: for your logs. control-attitude, control-separate: for "
+        help="att-snn: the circuit that ships, for any IMU. tune: continues it on your logs. paper: the "
+        "paper's recipe. hummingbird: for one airframe. control-attitude, control-separate: for "
         "controllers. Or a TOML file."
     ),
 ]
@@ -47,8 +47,8 @@ Fields = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
-        help="Any other setting of the training, as name=value or table.name=value; init=att-snn, for "
-        "example, continues from these weights. An unknown name prints the list.",
+        help="Any other setting of the training, as name=value or table.name=value. An unknown name prints "
+        "the list.",
     ),
 ]
 RecipeFields = Annotated[

@@ -16,7 +16,6 @@ from matplotlib.lines import Line2D
 
 from estimators import names
 from estimators.appearance import DASHES, FIXED, HUES, MARKERS, look, looks
-from estimators.circuit.file import shipped_circuits
 from estimators.networks.weights_file import shipped_names
 
 FAR = 10.0
@@ -120,7 +119,7 @@ def test_colour_blindness_mixes_up_red_and_green_and_leaves_grey():
 
 
 def test_every_name_and_shipped_weights_have_a_look_of_their_own():
-    assert set(FIXED) <= {*names(), *shipped_names(), *shipped_circuits()}
+    assert set(FIXED) <= {*names(), *shipped_names()}
     assert len({*looks([*names(), *shipped_names()]).values()}) == len({*names(), *shipped_names()})
     assert len(set(EVERY)) == len(EVERY)
 

@@ -20,7 +20,7 @@ def ones(out, inputs):
 
 
 def test_every_neuron_has_one_place_and_every_core_fits():
-    config, tensors = load_network("att-snn")
+    config, tensors = load_network("att-snn-hummingbird")
     chip = OnLoihi(config, tensors)
     sizes = (config.encoding, config.hidden, 3)
     placed = [(k, i) for core in chip.cores for k, ids in core.neurons.items() for i in ids]
@@ -59,7 +59,7 @@ def test_a_network_that_does_not_fit_is_refused_with_the_limit_and_the_excess(mo
 
 
 def test_no_more_profiles_are_left_than_asked_for_and_32_fit_on_one_core():
-    config, tensors = load_network("att-snn")
+    config, tensors = load_network("att-snn-hummingbird")
     for profiles in (3, 32, 33):
         shared = OnLoihi(config, share_profiles(tensors, profiles))
         together = np.concatenate([decay_profiles(layer) for layer in shared.layers])

@@ -22,7 +22,7 @@ from quadsim.imu import load_imu, simulate_imu
 from quadsim.rotation import quat_from_rotvec, quat_rotate_inverse
 
 NAMES = ("att-snn", "att-rnn")
-SHIPPED = "att-snn-circuit"
+SHIPPED = "att-snn"
 LEVEL = np.array([0.0, 0.0, 1.0])
 
 

@@ -18,7 +18,7 @@ from estimators.networks.weights_file import load_network
 
 @pytest.fixture(scope="module")
 def network():
-    return OnLoihi(*load_network("att-snn"))
+    return OnLoihi(*load_network("att-snn-hummingbird"))
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def activity(network, flights):
 
 
 def test_what_is_recorded_is_what_flies(network, activity, flights):
-    est = create_network("att-snn-loihi")
+    est = create_network("att-snn-loihi", weights="att-snn-hummingbird")
     est.reset(2)
     gyro, accel = (flights[name].to_numpy()[:2, :2000] for name in ("gyro", "accel"))
     np.testing.assert_array_equal(activity.estimate, est.sequence(gyro, accel))
@@ -35,7 +35,7 @@ def test_what_is_recorded_is_what_flies(network, activity, flights):
 
 
 def test_events_are_spikes_times_the_weights_that_they_meet(network, activity):
-    config, tensors = load_network("att-snn")
+    config, tensors = load_network("att-snn-hummingbird")
     neurons = config.encoding + config.hidden + 3
     compartments = neurons + np.count_nonzero(tensors["w_after"])
     encoding, hidden = (activity.of_layer(activity.spikes, k).astype(int) for k in (0, 1))
@@ -78,7 +78,7 @@ def test_flops_by_hand():
 
 
 def test_the_host_scales_six_readings_and_drives_each_encoding_neuron():
-    config, _ = load_network("att-snn")
+    config, _ = load_network("att-snn-hummingbird")
     one = host_operations(config.model_copy(update={"encoding": 1, "steps_per_sample": 1}))
     assert list(one.values()) == [6, 6 + 1]
     more = host_operations(config.model_copy(update={"encoding": 50, "steps_per_sample": 2}))

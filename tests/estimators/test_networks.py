@@ -74,7 +74,7 @@ def toward_zero(x, factor):
     return np.sign(x) * (np.abs(x) * factor >> 12)
 
 
-@pytest.mark.parametrize("name", ["", "att-snn", "control-attitude"])
+@pytest.mark.parametrize("name", ["", "att-snn-hummingbird", "control-attitude"])
 def test_a_network_has_every_state_of_its_layers_on_the_emulated_chip(tmp_path, name):
     """The host's part in plain integers: u[t] = D(u[t-1]) + W x, of which the chip gets steps of 2^4."""
     config = NetworkConfig(model="att-snn", output_scale=1 / 256, after_spike=True, steps_per_sample=2)
@@ -199,7 +199,7 @@ def test_inference_does_not_import_torch(snn_file):
 
 
 def test_the_networks_that_ship_fit_one_core_and_the_size_of_the_paper_s():
-    assert len(OnLoihi(*load_network("att-snn")).cores) == 1
+    assert len(OnLoihi(*load_network("att-snn-hummingbird")).cores) == 1
     assert parameters(load_network("att-snn-hummingbird").tensors) <= 21202
 
 
@@ -228,7 +228,7 @@ def test_bad_files_give_one_clear_line(tmp_path, snn_file, rnn_file):
         with pytest.raises(ValueError, match=message):
             save_network(path, config, tensors | change)
     with pytest.raises(ValueError, match="no network 'att'"):
-        create_network("att")
+        create_network("att", weights=snn_file)
     with pytest.raises(ValueError, match=r"gyro \(1, 2\)"):
         create_network("att-snn", weights=snn_file).update(np.zeros((1, 2)), np.zeros((1, 3)))
 
@@ -306,7 +306,7 @@ def test_network_in_floats_equals_the_pytorch_loop(tmp_path, delay):
     ],
 )
 def test_weights_of_another_version_are_refused_in_one_line(tmp_path, format, inputs, message):
-    config, tensors = load_network("att-snn")
+    config, tensors = load_network("att-snn-hummingbird")
     about = config.model_dump(mode="json")
     about["inputs"] |= inputs
     save_file(tensors, tmp_path / "w.safetensors", metadata=format | {"config": json.dumps(about)})

@@ -13,7 +13,7 @@ from estimators.networks.weights_file import load_network
 
 @pytest.fixture(scope="module")
 def network():
-    return load_network("att-snn")
+    return load_network("att-snn-hummingbird")
 
 
 @pytest.fixture(scope="module")

@@ -212,7 +212,7 @@ def test_a_report_of_weights_shows_where_the_neurons_go(quadsim):
     assert code == 0
     for heading in ("compartments", "synaptic", "formats", "fan-in", "(1048576)"):
         assert heading in out
-    config, _ = load_network("att-snn")
+    config, _ = load_network("att-snn-hummingbird")
     assert f"{config.encoding + config.hidden + config.n_outputs} neurons on 1 of a chip's 128 cores" in out
 
 

@@ -53,7 +53,7 @@ SHORT = {"updates": 600, "streams": 8, "batch_size": 2, "window_s": 0.1, "vector
 
 def test_a_stopped_run_ends_as_one_that_was_not(tmp_path, data):
     run = make_run(data=data, validation=data[:1], **SHORT)
-    whole, errors = train_circuit(run, tmp_path / "whole")
+    whole, errors, _ = train_circuit(run, tmp_path / "whole")
 
     def stop(row, run):
         raise KeyboardInterrupt
@@ -61,7 +61,7 @@ def test_a_stopped_run_ends_as_one_that_was_not(tmp_path, data):
     with pytest.raises(KeyboardInterrupt):
         train_circuit(run, tmp_path / "parts", stop)
     assert not (tmp_path / "parts" / "best.safetensors").exists()
-    parts, again = train_circuit(run, tmp_path / "parts")
+    parts, again, _ = train_circuit(run, tmp_path / "parts")
     for ours, theirs in zip(load_circuit(whole)[1], load_circuit(parts)[1], strict=True):
         np.testing.assert_array_equal(ours, theirs)
     assert errors == again
@@ -86,12 +86,12 @@ def test_a_run_says_what_is_wrong(data, tmp_path):
 def test_streams_are_readings_and_their_up(data):
     flights, hands = load_motion(data)
     assert (len(flights), len(hands)) == (1, 1)
-    streams = draw_streams(flights, hands, 70, 400, 0.5, Augmentation(), np.random.default_rng(0))
+    streams = draw_streams(flights, hands, 70, 400, 0.5, 0.7, 0.5, Augmentation(), np.random.default_rng(0))
     for each in streams:
         assert each.shape == (70, 400, 3)
         assert np.isfinite(each).all()
     np.testing.assert_allclose(np.linalg.norm(streams.up, axis=2), 1, atol=1e-5)
-    again = draw_streams(flights, hands, 70, 400, 0.5, Augmentation(), np.random.default_rng(0))
+    again = draw_streams(flights, hands, 70, 400, 0.5, 0.7, 0.5, Augmentation(), np.random.default_rng(0))
     np.testing.assert_array_equal(streams.force, again.force)
 
 
@@ -100,7 +100,7 @@ def test_a_hand_sways_within_bounds():
     steps, rng = 8000, np.random.default_rng(5)
     rest = np.zeros((12, steps, 3), np.float32)
     up = np.tile(np.float32([0, 0, 1]), (12, steps, 1))
-    added = sway(rest, 9.81 * up, up, 200.0, rng) - 9.81 * up
+    added = sway(rest, 9.81 * up, up, 0.7, 200.0, rng) - 9.81 * up
     assert np.abs(added).max() > 5
     place = np.cumsum(np.cumsum(added.astype(float), 1), 1) / 200**2
     assert np.abs(place).max() < 1.5

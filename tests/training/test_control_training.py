@@ -207,10 +207,13 @@ def test_a_run_that_was_stopped_ends_with_the_same_weights_which_fly(recipe, tmp
 @pytest.mark.parametrize(
     ("choices", "reason"),
     [
-        ({"control": {"estimator": "att-rnn"}}, "att-rnn is no Att-SNN"),
+        ({"control": {"estimator": "att-rnn-paper"}}, "att-rnn-paper is no Att-SNN"),
         ({"quantised": False}, "is trained quantised"),
         ({"data": "x.zarr"}, "leave out data"),
-        ({"control": {"estimator": "att-snn"}, "steps_per_sample": 2}, "2, but with the estimator it is 1"),
+        (
+            {"control": {"estimator": "att-snn-hummingbird"}, "steps_per_sample": 2},
+            "2, but with the estimator it is 1",
+        ),
         ({"control": {"rounds": 60}}, "should be at least the rounds"),
         ({"control": {"flight_s": 1.0}}, r"should be at most control\.flight_s"),
         ({"control": {"flghts": 3}}, 'did you mean "flights"'),

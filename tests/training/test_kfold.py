@@ -145,7 +145,7 @@ def test_mistakes_are_said_before_anything_is_trained(domains, tmp_path, change,
 def test_command_prints_table_1(domains, tmp_path, monkeypatch, capsys):
     chosen = [f"--set={name}={value}" for name, value in TINY.items() if name != "folds"]
     here, there = ([f"--data={path}"] for path in domains)
-    arguments = [*here, *there, f"--out={tmp_path}", "--folds=2", "--workers=1", *chosen]
+    arguments = [*here, *there, f"--out={tmp_path}", "--preset=paper", "--folds=2", "--workers=1", *chosen]
     monkeypatch.setattr(sys, "argv", ["quadsim", "train", *arguments])
     with pytest.raises(SystemExit) as stop:
         main()

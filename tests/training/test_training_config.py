@@ -10,7 +10,7 @@ from training.config import Preset, TrainConfig, make_config
     [
         (
             {"preset": "fast"},
-            r'unknown preset "fast"; did you mean "best"\? valid: best, control-a.*, tune, or a path',
+            r'unknown preset "fast"; valid: control-a.*, paper, or a path',
         ),
         ({"epoch": 3}, 'unknown key "epoch"; did you mean "epochs"'),
         ({"batch_size": 0}, r"training: batch_size = 0: should be 1 to"),
@@ -30,7 +30,6 @@ from training.config import Preset, TrainConfig, make_config
         ),
         ({"symmetric": True, "hidden": 4}, r"symmetric: layers of 100 and 4 neurons, at least 8"),
         ({"model": "att-rnn", "hidden": 4}, r"att-rnn: layers of 100 and 4 units, should be equal"),
-        ({"preset": "tune"}, "preset tune continues from weights"),
     ],
 )
 def test_bad_choices_give_one_clear_line(choices, message):
@@ -39,30 +38,13 @@ def test_bad_choices_give_one_clear_line(choices, message):
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize(
-    ("choices", "message"),
-    [
-        ({"outputs": "roll-pitch"}, "outputs: the weights of init have up, it cannot be roll-pitch"),
-        ({"hidden": 20}, r"hidden: the weights of init have \d+, it cannot be 20"),
-        ({"init": "att-snn-paper", "symmetric": True}, "symmetric: att-snn-paper does not share its weights"),
-        (
-            {"init": "att-rnn", "model": "att-snn"},
-            "model: the weights of init have att-rnn, it cannot be att-snn",
-        ),
-    ],
-)
-def test_what_the_weights_have_cannot_be_chosen_again(choices, message):
-    with pytest.raises(ValueError, match=message):
-        make_config("best", **{"data": "x.zarr", "init": "att-snn"} | choices)
-
-
 @pytest.mark.parametrize("model", ["att-snn", "att-rnn"])
 @pytest.mark.parametrize("name", preset_names("presets"))
 def test_every_shipped_preset_loads(name, model):
     preset = load_toml(name, "presets", Preset)
     if preset.outputs == "angular-acceleration":
         pytest.skip("a controller is an Att-SNN")
-    config = make_config(name, data="x", model=model, **({"init": model} if preset.needs_init else {}))
+    config = make_config(name, data="x", model=model)
     assert config.preset == name
 
 

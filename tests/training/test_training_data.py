@@ -51,7 +51,7 @@ def test_a_stream_lasts_from_one_window_to_the_most(dataset):
 
 @pytest.mark.parametrize(
     ("preset", "model", "steps"),
-    [("paper", "att-snn", 1), ("best", "att-snn", 3), ("hummingbird", "att-rnn", 1)],
+    [("paper", "att-snn", 1), ("hummingbird", "att-snn", 3), ("hummingbird", "att-rnn", 1)],
 )
 def test_networks_are_fed_scaled_readings_and_nothing_else(dataset, preset, model, steps):
     config = make_config(

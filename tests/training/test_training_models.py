@@ -2,9 +2,10 @@ import numpy as np
 import pytest
 import torch
 
+from estimators.networks.forward import real_weights
 from estimators.networks.weights_file import load_network
 from training.config import make_config
-from training.init import ESTIMATOR_START, initialise_from_data, initialise_from_weights, initialise_random
+from training.init import ESTIMATOR_START, initialise_from_data, initialise_random
 from training.models import CURRENT_MAX, AttSNN
 
 
@@ -58,10 +59,14 @@ def test_currents_that_would_leave_the_chip_s_range_are_brought_back(symmetric):
 
 @pytest.mark.parametrize("logits", [False, True])
 def test_limits_of_the_chip_leave_weights_that_fit_it_as_they_are(logits):
-    network, _ = load_network("att-snn-hummingbird")
+    network, tensors = load_network("att-snn-hummingbird")
     how = {"outputs": network.outputs, "finest_exponent": -6, "after_spike": True}
     model = model_of(network.encoding, network.hidden, logits, **how)
-    initialise_from_weights(model, "att-snn-hummingbird")
+    values = real_weights(network, tensors)._asdict()
+    for name in model.taus:
+        model.set_taus(name, values[name])
+    for name in model.matrices:
+        model.set_weights(name, values[name])
     before = model.weights()
     model.constrain()
     for value, kept in zip(before, model.weights(), strict=True):

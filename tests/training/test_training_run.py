@@ -25,7 +25,7 @@ from training.optim import finished, total_cost
 from training.run_folder import claim
 
 TINY = {
-    "preset": "best", "epochs": 3, "batches": 4, "batch_size": 4, "window_s": 0.5, "windows_per_stream": 2,
+    "preset": "hummingbird", "epochs": 3, "batches": 4, "batch_size": 4, "window_s": 0.5, "windows_per_stream": 2,
     "encoding": 20, "hidden": 16,
 }  # fmt: skip
 
@@ -114,15 +114,6 @@ def test_a_run_on_up_is_judged_by_the_inclination_and_goes_on(dataset, tmp_path)
     est.reset(len(flights))
     est.sequence(flights.gyro, flights.accel)
     assert est.up[:, 2].mean() > 0.3  # towards the unit vector, of zero at the start
-    little = {"epochs": 1, "batches": 2, "batch_size": 4, "window_s": 0.5, "optimiser_lr": 0.3}
-    on = train(data=dataset, out=tmp_path / "on", preset="tune", init=str(result.weights), **little)
-    config, tuned = load_network(on.weights)
-    assert (config.outputs, config.encoding, config.hidden) == ("up", 20, 16)
-    assert on.before == pytest.approx(result.best.score, rel=1e-3)
-    assert on.helped == (on.best.score < on.before)
-    assert (result.before, result.helped) == (None, True)
-    for name in ("w_in", "w_ff", "w_rec", "w_out"):  # no connection grows
-        assert not tuned[name][tensors[name] == 0].any()
 
 
 @pytest.mark.parametrize(
@@ -135,12 +126,11 @@ def test_a_run_on_up_is_judged_by_the_inclination_and_goes_on(dataset, tmp_path)
         ),
         ("config.json", {"epochs": 9}, "holds a run with another configuration, choose another folder$"),
         ("contents.json", {"data": "of others"}, r"holds a run on other files \(data changed\)"),
-        ("contents.json", {"init": "of others"}, r"holds a run on other files \(init changed\)"),
         ("contents.json", {"code": "of others"}, r"holds a run on other files \(code changed\)"),
     ],
 )
 def test_the_folder_of_another_run_is_refused_in_one_line(dataset, tmp_path, file, change, message):
-    choices = {"data": dataset, "out": tmp_path, "preset": "tune", "init": "att-snn-hummingbird", "epochs": 1}
+    choices = {"data": dataset, "out": tmp_path, "epochs": 1}
     choices |= {"batches": 1, "batch_size": 1, "window_s": 0.1}
     train(**choices)
     before = json.loads((tmp_path / file).read_text())
@@ -159,15 +149,11 @@ def test_what_a_run_reads_has_digests_of_its_own(dataset, tmp_path):
     slow = generate(load_recipe("hummingbird"), 3, 4.0, tmp_path / "s.zarr", rate_hz=100.0, workers=1)
     with pytest.raises(ValueError, match="validation at 100 Hz, but the data are at 200 Hz"):
         train(data=dataset, validation=slow, out=tmp_path / "run", **TINY)
-    with pytest.raises(ValueError, match="data at 100 Hz, but the weights of init are for 200 Hz"):
-        train(data=slow, out=tmp_path / "run", preset="tune", init="att-snn")
 
 
 def test_files_that_are_not_there_are_named(dataset, tmp_path):
     with pytest.raises(FileNotFoundError, match=r"none\.zarr"):
         train(data=tmp_path / "none.zarr", out=tmp_path / "run")
-    with pytest.raises(FileNotFoundError, match=r"no such weights file; shipped: att-rnn, att-rnn-paper, "):
-        train(data=dataset, out=tmp_path / "run", init="att-ssn")
     assert not (tmp_path / "run").exists()
 
 

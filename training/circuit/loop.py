@@ -9,10 +9,11 @@ from __future__ import annotations
 import io
 import json
 import time
+import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -21,12 +22,12 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from estimators.circuit.estimator import circuit_estimator
-from estimators.circuit.file import CircuitConfig, save_circuit
+from estimators.circuit.file import CircuitConfig, load_circuit, save_circuit
 from estimators.circuit.floats import new_trace, run_floats, stepped
 from estimators.circuit.parameters import LEARNT, OUTPUT, RATE_HZ, Parameters, untrained
 from estimators.metrics import absolute_error
 from quadsim.config.ranges import Between, Share
-from quadsim.config.toml import Strict, describe, load_toml, merged
+from quadsim.config.toml import Strict, describe, load_toml, merged, preset_names
 from quadsim.dataset.figures import STYLE
 from quadsim.held_out import unreserved
 from quadsim.runs.files import alone, drop_parts, save_figure, write_csv, write_whole
@@ -53,7 +54,7 @@ NOISE = 1.0
 
 
 class CircuitTraining(Strict):
-    """How a circuit is trained; the recipe that ships is `assets/circuits/att-snn-circuit.toml`."""
+    """How a circuit is trained; the recipe that ships is `assets/circuits/att-snn.toml`."""
 
     vectors: Annotated[int, Between(4, 64)] = 6
     """Vectors that turn."""
@@ -65,6 +66,10 @@ class CircuitTraining(Strict):
     """Length of a stream, over which the gradient is exact [s]."""
     hand_share: Share = 0.4
     """Share of the streams that move in the hand, where there are both."""
+    sway_share: Share = 0.7
+    """Share of the streams in the hand to which translation is added."""
+    calibrated_share: Share = 0.5
+    """Share of the streams whose biases, scales and mounting are a tenth of those of the augmentation."""
     updates: Number = 13000
     """Updates of the weights."""
     batch_size: Annotated[int, Between(1, 1024)] = 32
@@ -73,6 +78,9 @@ class CircuitTraining(Strict):
     """Of Adam, at its highest."""
     augmentation: Augmentation = Augmentation()
     """Sensor errors."""
+    init: str = ""
+    """Circuit to continue from, in place of the equation: a file or a shipped name; it has the vectors and
+    the gates."""
 
 
 class CircuitRun(CircuitTraining):
@@ -112,7 +120,27 @@ class State:
 Progress = Callable[[Row, CircuitRun], None]
 
 
-def make_run(preset: str | Path = "att-snn-circuit", **choices: Any) -> CircuitRun:
+class Trained(NamedTuple):
+    """What a training ends with."""
+
+    weights: Path
+    errors: dict[str, float]
+    """Mean absolute error of each validation set, on spikes [deg]."""
+    before: dict[str, float]
+    """The same of the circuit that the run continued."""
+
+
+def is_recipe(preset: str | Path) -> bool:
+    """Whether a preset is of a circuit: the name of one that ships, or a TOML file with a circuit's keys."""
+    if str(preset) in preset_names("circuits"):
+        return True
+    try:
+        return bool({"updates", "streams", "gates"} & tomllib.loads(Path(preset).read_text("utf-8")).keys())
+    except (OSError, ValueError):
+        return False
+
+
+def make_run(preset: str | Path = "att-snn", **choices: Any) -> CircuitRun:
     """A configuration from a preset and what differs from it.
 
     Raises:
@@ -121,6 +149,9 @@ def make_run(preset: str | Path = "att-snn-circuit", **choices: Any) -> CircuitR
     loaded = load_toml(preset, "circuits", CircuitTraining)
     try:
         run = CircuitRun.model_validate(merged(loaded.model_dump(), choices))
+        if run.init:
+            sizes = {name: getattr(load_circuit(run.init).config, name) for name in ("vectors", "gates")}
+            run = run.model_copy(update=sizes)
     except ValidationError as error:
         raise ValueError(f"training: {describe(error, CircuitRun)}") from error
     unreserved(run.seed)
@@ -129,25 +160,29 @@ def make_run(preset: str | Path = "att-snn-circuit", **choices: Any) -> CircuitR
     return run
 
 
-def train_circuit(
-    run: CircuitRun, out: Path, progress: Progress | None = None
-) -> tuple[Path, dict[str, float]]:
+def train_circuit(run: CircuitRun, out: Path, progress: Progress | None = None) -> Trained:
     """Train a circuit, or continue a run that was stopped.
-
-    Returns:
-        The file of the weights, and the mean absolute error of each validation set [deg].
 
     Raises:
         ValueError: A dataset that cannot be used, or another run's folder.
         FileNotFoundError: A dataset is not there.
     """
     with alone(out):
+        before = {name: validation_error(_first(run), name) for name in run.validation} if run.init else {}
         flights, hands = load_motion(run.data)
         steps = _steps_of(run, [*flights, *hands])
         _claim(run, out)
         rng = np.random.default_rng([run.seed, 0])
         streams = draw_streams(
-            flights, hands, run.streams, steps, run.hand_share, run.augmentation, rng, None
+            flights,
+            hands,
+            run.streams,
+            steps,
+            run.hand_share,
+            run.sway_share,
+            run.calibrated_share,
+            run.augmentation,
+            rng,
         )
         sizes = {"training_flights": sum(map(len, flights)) + sum(map(len, hands))}
         vehicles = sorted({vehicle for each in flights for vehicle in each.vehicles})
@@ -167,7 +202,7 @@ def train_circuit(
         file = out / "best.safetensors"
         save_circuit(file, CircuitConfig(vectors=run.vectors, gates=run.gates, training=note), p)
         save_figure(out / "curve.png", _curve(state.rows))
-    return file, errors
+    return Trained(file, errors, before)
 
 
 def _steps_of(run: CircuitRun, parts: list) -> int:
@@ -195,6 +230,8 @@ def _claim(run: CircuitRun, out: Path) -> None:
 
 
 def _first(run: CircuitRun) -> Parameters:
+    if run.init:
+        return load_circuit(run.init).parameters
     return untrained(run.vectors, run.gates, run.seed, NOISE)
 
 

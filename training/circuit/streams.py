@@ -22,8 +22,8 @@ BLOCK = 32
 """Streams that are drawn at once."""
 EARLY = 0.25
 """Share of the streams that begin where a flight does."""
-SWAYING = 0.7
-"""Share of the streams in the hand to which translation is added."""
+CALIBRATED = 0.1
+"""Errors of a calibrated IMU, relative to those of one that is not."""
 SWAY_HZ, SWAY_M, SWAY_MAX = (0.3, 2.5), 0.5, 40.0
 """Frequency of a hand's translation, its largest amplitude [m] and its largest acceleration [m/s²]. A hand's
 position is bounded, and its acceleration may be large."""
@@ -59,6 +59,8 @@ def draw_streams(
     count: int,
     steps: int,
     hand_share: float,
+    sway_share: float,
+    calibrated_share: float,
     augmentation: Augmentation,
     rng: np.random.Generator,
     progress: Callable[[int, int], None] | None = None,
@@ -68,13 +70,16 @@ def draw_streams(
     Where there is only one kind of motion, all streams are of that kind.
     """
     hand_share = hand_share if flights and hands else float(not flights)
-    kinds = rng.random(-(-count // BLOCK)) < hand_share
+    blocks = -(-count // BLOCK)
+    kinds, fine = rng.random(blocks) < hand_share, rng.random(blocks) < calibrated_share
+    calibrated = _calibrated(augmentation)
     done = Streams(*(np.empty((count, steps, 3), np.float32) for _ in Streams._fields))
     for k, by_hand in enumerate(kinds):
         part = slice(k * BLOCK, min((k + 1) * BLOCK, count))
-        readings = _block(hands if by_hand else flights, part.stop - part.start, steps, bool(by_hand), rng)
+        swaying = sway_share if by_hand else 0.0
+        readings = _block(hands if by_hand else flights, part.stop - part.start, steps, swaying, rng)
         rate_hz = (hands if by_hand else flights)[0].rate_hz
-        gyro, accel, up = augment(*readings, augmentation, rate_hz, rng)
+        gyro, accel, up = augment(*readings, calibrated if fine[k] else augmentation, rate_hz, rng)
         done.angle[part] = held(gyro) / rate_hz
         done.force[part] = held(accel) / GRAVITY
         done.up[part] = up
@@ -83,8 +88,14 @@ def draw_streams(
     return done
 
 
+def _calibrated(augmentation: Augmentation) -> Augmentation:
+    """The errors of sensors that somebody has calibrated."""
+    errors = "gyro_bias_max", "accel_bias_max", "scale_max", "mounting_max_deg"
+    return augmentation.model_copy(update={name: CALIBRATED * getattr(augmentation, name) for name in errors})
+
+
 def _block(
-    sets: Sequence[TrainingFlights], n: int, steps: int, by_hand: bool, rng: np.random.Generator
+    sets: Sequence[TrainingFlights], n: int, steps: int, swaying: float, rng: np.random.Generator
 ) -> tuple[Floats, Floats, Floats]:
     """True rate, specific force and up of n streams, (n, T, 3); every flight is as likely as any other."""
     sizes = np.array([len(each) for each in sets])
@@ -96,7 +107,7 @@ def _block(
         row = rng.integers(len(flights))
         streams.append([getattr(flights, name)[row, first : first + steps] for name in SIGNALS])
     rate, force, _, _, up = (np.stack(each) for each in zip(*streams, strict=True))
-    return rate, sway(rate, force, up, sets[0].rate_hz, rng) if by_hand else force, up
+    return rate, sway(rate, force, up, swaying, sets[0].rate_hz, rng) if swaying else force, up
 
 
 def held(readings: Floats) -> Floats:
@@ -106,11 +117,13 @@ def held(readings: Floats) -> Floats:
     return np.nan_to_num(np.take_along_axis(readings, index[..., None], 1))
 
 
-def sway(rate: Floats, force: Floats, up: Floats, rate_hz: float, rng: np.random.Generator) -> Floats:
-    """Specific force (n, T, 3) of a hand that also moves to and fro: a bounded position, in the world."""
+def sway(
+    rate: Floats, force: Floats, up: Floats, share: float, rate_hz: float, rng: np.random.Generator
+) -> Floats:
+    """Specific force (n, T, 3) of hands; a share also moves to and fro: a bounded position, in the world."""
     n, steps, _ = rate.shape
     place = np.zeros((n, steps, 3))
-    for k in np.flatnonzero(rng.random(n) < SWAYING):
+    for k in np.flatnonzero(rng.random(n) < share):
         usual, t = np.exp(rng.uniform(*np.log(SWAY_HZ))), 0
         while t < steps:
             end = min(steps, t + round(rng.uniform(3, 20) * rate_hz))
