@@ -10,7 +10,6 @@ from estimators.analysis.ablation import pruned
 from estimators.networks.network import NetworkEstimator
 from estimators.networks.on_chip import OnLoihi
 from estimators.networks.symmetry import MIRROR, OPERATIONS, TURN, is_symmetric, weight_sharing
-from estimators.networks.weights_file import save_network
 from quadsim.rotation import roll_pitch_of_up
 from training.config import make_config
 from training.init import ESTIMATOR_START, initialise_from_data

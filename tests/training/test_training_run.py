@@ -25,8 +25,8 @@ from training.optim import finished, total_cost
 from training.run_folder import claim
 
 TINY = {
-    "preset": "hummingbird", "epochs": 3, "batches": 4, "batch_size": 4, "window_s": 0.5, "windows_per_stream": 2,
-    "encoding": 20, "hidden": 16,
+    "preset": "hummingbird", "epochs": 3, "batches": 4, "batch_size": 4, "window_s": 0.5,
+    "windows_per_stream": 2, "encoding": 20, "hidden": 16,
 }  # fmt: skip
 
 
