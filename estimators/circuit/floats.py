@@ -15,11 +15,14 @@ from quadsim.runs.compiled import njit
 
 from ..networks.encoder import INPUT_ONE, MISSING, Scaling, encode_sample, encoder_fields
 from .parameters import FELT, FELT_RATE, FELT_S, OUTPUT, RATE_HZ, Parameters
+from .spikes import BIAS_RATE
 
 F = np.float32
 Floats = NDArray[np.float32]
 DT = F(1 / RATE_HZ)
 _FELT_STEP, _FELT_TURN = F(1 / (RATE_HZ * FELT_S)), F(RATE_HZ / FELT_RATE)
+BIAS_MAX = F(BIAS_RATE)
+"""Largest bias that is taken from a rate, and half of the largest that is held [rad/s]."""
 CHUNK = 500
 """Samples that an estimator takes at once; what it needs to keep of them is bounded."""
 
@@ -89,7 +92,7 @@ def run_floats(angle, force, w, trace, senses):
     """
     for t in range(angle.shape[0]):
         _feel(t, angle[t], force[t], w, trace, senses)
-        _turn_and_mix(angle[t] - trace.bias[t] * DT, force[t], w, trace.x[t], trace.x[t + 1])
+        _turn_and_mix(unbiased(angle[t], trace.bias[t]), force[t], w, trace.x[t], trace.x[t + 1])
         _innovate(t, force[t], w, trace)
         _learn(t, w, trace)
 
@@ -97,6 +100,12 @@ def run_floats(angle, force, w, trace, senses):
 @njit(inline="always")
 def _share(v):
     return min(max(v, F(0)), F(1))
+
+
+@njit
+def unbiased(angle, bias):
+    """Angles of a sample (3, n) without what the bias adds."""
+    return angle - np.minimum(np.maximum(bias, -BIAS_MAX), BIAS_MAX) * DT
 
 
 @njit(inline="always")
@@ -185,6 +194,7 @@ def _learn(t, w, trace):
             j, k = (i + 1) % 3, (i + 2) % 3
             for c in range(n):
                 trace.bias[t + 1, i, c] += w.learn[p] * (x[j, c] * passed[k, c] - x[k, c] * passed[j, c])
+    trace.bias[t + 1] = np.minimum(np.maximum(trace.bias[t + 1], -2 * BIAS_MAX), 2 * BIAS_MAX)
 
 
 class FloatCircuit:

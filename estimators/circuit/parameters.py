@@ -5,14 +5,14 @@ specific force a in a frame that does not turn. The circuit has V vectors x_m th
 linearly, and Q innovations e_q. Each of these passes a gate by a share r_q, which depends on what is felt:
 forces, rates, and how far the force is from the first vector.
 
-    ẋ_m = -(ω - b) × x_m + Σ_n A_mn x_n + B_m a + Σ_q K_qm d_q
+    ẋ_m = -(ω - clip(b, ±R)) × x_m + Σ_n A_mn x_n + B_m a + Σ_q K_qm d_q
     e_q = clip(Σ_n P_qn x_n + R_q a, ±2),   d_q = clip(r_q e_q, ±1)
     τ_q u̇_q = W_q z - u_q,   r_q = clip(u_q + c_q, 0, 1)
-    ḃ = Σ_p κ_p (x_p × d_p)
+    ḃ = Σ_p κ_p (x_p × d_p), b within ±2 R
 
-with a in units of 9.81 m/s². Weights are scalars that treat x and y alike and z apart: whatever turns about z
-turns the estimate. The second vector is the world's up in body axes, and b the gyroscope's bias, as in Mahony
-et al. 2008, "Nonlinear complementary filters on the special orthogonal group".
+with a in units of 9.81 m/s² and R = 5.6 °/s. Weights are scalars that treat x and y alike and z apart:
+whatever turns about z turns the estimate. The second vector is the world's up in body axes, and b the
+gyroscope's bias, as in Mahony et al. 2008, "Nonlinear complementary filters on the special orthogonal group".
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .spikes import BIAS_RATE, FORCE, INNOVATION, ONE, TURN_RATE, Circuit
+from .spikes import BIAS_BITS, BIAS_RATE, FORCE, INNOVATION, ONE, TURN_RATE, Circuit
 
 Array = NDArray[np.float64]
 RATE_HZ = 200.0
@@ -36,7 +36,7 @@ smoothed over `FELT_S` and each axis clipped to 1; rates in units of `FELT_RATE`
 FELT_S = 0.05
 FELT_RATE = 4.0
 """[rad/s]"""
-SLOW, FAST = 4096 / (3 * 800), 4096 / (17 * 800)
+SLOWEST, SLOW, FAST = 4096 / 800, 4096 / (3 * 800), 4096 / (17 * 800)
 """Time constants of gates, which are decays of the chip with four steps a sample [s]."""
 SMOOTH_S = 0.025
 """Time constant of the currents of innovations on the chip [s]."""
@@ -102,7 +102,7 @@ def untrained(vectors: int = 4, gates: int = 8, seed: int = 0, spread: float = 0
         start=np.ones(vectors),
         scale=np.ones(vectors),
     )
-    p.tau[:8] = SLOW, SLOW, FAST, FAST, FAST, FAST, SLOW, FAST
+    p.tau[:8] = SLOW, SLOW, FAST, FAST, FAST, FAST, SLOWEST, SLOWEST
     p.start[2] = 0
     p.mix[:] += 0.01 * spread * rng.standard_normal(p.mix.shape)
     p.give[:] += 0.01 * spread * rng.standard_normal(p.give.shape)
@@ -142,7 +142,7 @@ def quantised(p: Parameters, steps: int) -> Circuit:
     smooth = round(4096 * h / SMOOTH_S)
     decays = np.maximum(1, np.rint(4096 * h / p.tau)).astype(np.int64)
     sense = felt * np.array([FORCE, TURN_RATE / FELT_RATE, s[0], 1.0]) * 64
-    kappa = _weights(p.learn * h * s[p.pairs[:, 0]] / BIAS_RATE * ONE)
+    kappa = _weights(p.learn * h * s[p.pairs[:, 0]] / BIAS_RATE * (1 << BIAS_BITS))
     return Circuit(
         mix=_weights(_axes(p.mix * h * s / s[:, None]) * ONE),
         pull=_weights(_axes(p.pull * h / s) * FORCE * ONE),

@@ -48,6 +48,8 @@ ONE = 1 << ONE_BITS
 INNOVATION_BITS = 22
 INNOVATION = 1 << INNOVATION_BITS
 """Membrane units of an innovation of 1.0; a membrane ends at twice that."""
+BIAS_BITS = 22
+"""Of the membrane units of a bias that spikes in every step; a membrane ends at twice that."""
 FELT_BITS = 18
 FELT = 1 << FELT_BITS
 """Units of 1.0 of what is felt: 32 g or 128 rad/s are within 24 bits."""
@@ -55,7 +57,7 @@ ANGLE_DIGITS, FORCE_DIGITS = 5, 4
 """Balanced ternary digits of the encoders' spikes: quanta of 1, 3, 9, 27 and 81."""
 ANGLE_MAX, FORCE_MAX = (3**ANGLE_DIGITS - 1) // 2, (3**FORCE_DIGITS - 1) // 2
 """Most quanta in a step: 23.6 rad/s and 98 m/s². What is more comes later."""
-ANGLE_UNITS, FORCE_UNITS, BIAS_UNITS = 128, 256, 128
+ANGLE_UNITS, FORCE_UNITS, BIAS_UNITS = 128, 256, 64
 """Encoder units of a quantum of angle, of one of force, and what a spike of the bias takes from an angle."""
 LATER = 1 << 14
 """Encoder units that may wait, 128 quanta of angle."""
@@ -66,7 +68,7 @@ FORCE = 0.25
 TURN_RATE = 2.0**-TURN_BITS * 200
 """Body rate of a quantum of angle in every step [rad/s], whatever the steps a sample."""
 BIAS_RATE = TURN_RATE * BIAS_UNITS / ANGLE_UNITS
-"""Bias of a spike in every step, the largest that can be represented [rad/s]."""
+"""Bias of a spike in every step, the largest that is taken from a rate: 5.6 °/s, in rad/s."""
 LEAD = 3
 """Half steps by which a vector's spikes run ahead of it in a turn. A turn reaches the vector a step and a
 half after the middle of the spikes that it multiplied; with the lead, its length stays as it is."""
@@ -247,8 +249,8 @@ def _fire(state, s):
     bias, soma, spikes, due = state.bias
     for i in range(3):
         v = _clipped(soma[i] + bias[i])
-        spikes[i] = _spike(v, ONE_BITS)
-        soma[i] = v - (spikes[i] << ONE_BITS)
+        spikes[i] = _spike(v, BIAS_BITS)
+        soma[i] = v - (spikes[i] << BIAS_BITS)
         bias[i], due[i] = _clipped(bias[i] + due[i]), 0
         state.events[6] += abs(spikes[i])
 

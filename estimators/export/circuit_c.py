@@ -100,6 +100,7 @@ enum {
     INPUT_MAX = $input_max,
     STATE_MAX = 8388607,
     ONE_BITS = $one_bits, /* of a vector's soma */
+    BIAS_BITS = $bias_bits, /* of the bias's soma */
     INNOVATION_BITS = $innovation_bits,
     FELT_BITS = $felt_bits,
     ANGLE_BITS = $angle_bits, /* of a quantum of angle, in units of `input` */
@@ -217,7 +218,7 @@ static void fire(${n}_state *state, int32_t angle[3], int32_t force[3], int32_t 
         force[i] = quanta(&state->force[i], FORCE_BITS, FORCE_QUANTA);
         for (int m = 0; m < VECTORS; ++m)
             spike[i][m] = fires(&state->y[i][m], state->x[i][m], ONE_BITS);
-        state->bias_spike[i] = fires(&state->bias_soma[i], state->bias[i], ONE_BITS);
+        state->bias_spike[i] = fires(&state->bias_soma[i], state->bias[i], BIAS_BITS);
         state->bias[i] = clip(state->bias[i] + state->bias_due[i], STATE_MAX);
     }
 }
@@ -379,6 +380,7 @@ def _constants() -> dict[str, int | str]:
         "output": OUTPUT,
         "input_max": INPUT_MAX,
         "one_bits": spikes.ONE_BITS,
+        "bias_bits": spikes.BIAS_BITS,
         "innovation_bits": spikes.INNOVATION_BITS,
         "felt_bits": spikes.FELT_BITS,
         "angle_bits": spikes.ANGLE_UNITS.bit_length() - 1,

@@ -148,7 +148,7 @@ class PlainCircuit:
         self.waiting, self.t = np.zeros((2, 3), int), 0
 
     def encoders(self, inputs):
-        told = inputs.reshape(2, 3) - np.array([128 * self.b_spikes, 0 * self.b_spikes])
+        told = inputs.reshape(2, 3) - np.array([64 * self.b_spikes, 0 * self.b_spikes])
         n = np.zeros((2, 3), int)
         for k, (units, most) in enumerate(((128, 121), (256, 40))):
             self.waiting[k] += told[k]
@@ -164,9 +164,9 @@ class PlainCircuit:
         s = np.vectorize(signed)(soma, ONE)
         self.y = soma - ONE * s
         plus, minus = s > 0, s < 0
-        soma = self.b_soma + self.b
-        self.b_spikes = np.vectorize(signed)(soma, ONE)
-        self.b_soma = soma - ONE * self.b_spikes
+        soma = np.vectorize(clip)(self.b_soma + self.b)
+        self.b_spikes = np.vectorize(signed)(soma, 2**22)
+        self.b_soma = soma - 2**22 * self.b_spikes
         self.b, self.b_due = np.vectorize(clip)(self.b + self.b_due), np.zeros(3, int)
         opened = self.g + c.levels[0] > ring
         fires = 4 * np.abs(self.h) > ring

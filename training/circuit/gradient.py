@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.circuit.floats import DT, F, Trace, new_trace, run_floats, stepped
+from estimators.circuit.floats import BIAS_MAX, DT, F, Trace, new_trace, run_floats, stepped, unbiased
 from estimators.circuit.parameters import FELT, LEARNT, OUTPUT, RATE_HZ, Parameters
 from quadsim.runs.compiled import njit
 
@@ -103,8 +103,9 @@ def _backward(angle, force, w, trace, outer, slopes):
                     share = min(max(opened[q, c], F(0)), F(1))
                     d[q, i, c] = min(max(share * min(max(e[q, i, c], F(-2)), F(2)), F(-1)), F(1))
                     d_bar[q, i, c] = 0
-        turn = angle[t] - trace.bias[t] * DT
-        b_next = _turned_back(turn, x, x_bar, earlier, b_bar)
+        b_bar *= np.abs(trace.bias[t + 1]) < 2 * BIAS_MAX
+        turn, free = unbiased(angle[t], trace.bias[t]), np.abs(trace.bias[t]) < BIAS_MAX
+        b_next = b_bar + free * _turned_back(turn, x, x_bar, earlier)
         _mixed_back(force[t], x, x_bar, earlier, w, slopes)
         _learnt_back(x, d, b_bar, earlier, d_bar, w, slopes)
         _passed_back(t, force[t], x, x_bar, e, opened, d, d_bar, earlier, w, slopes)
@@ -113,22 +114,22 @@ def _backward(angle, force, w, trace, outer, slopes):
 
 
 @njit(fastmath=True)
-def _turned_back(turn, x, x_bar, earlier, b_bar):
-    """Write the vectors' gradient before they turned; return the bias's of the step before."""
+def _turned_back(turn, x, x_bar, earlier):
+    """Write the vectors' gradient before they turned; return that by the bias that turned them."""
     n = turn.shape[1]
-    cross, b_next = np.empty((3, n), F), b_bar.copy()
+    cross, by_bias = np.empty((3, n), F), np.zeros((3, n), F)
     for m in range(x.shape[0]):
         for i in range(3):
             j, k = (i + 1) % 3, (i + 2) % 3
             for c in range(n):
                 cross[i, c] = turn[j, c] * x_bar[m, k, c] - turn[k, c] * x_bar[m, j, c]
-                b_next[i, c] += DT * (x[m, j, c] * x_bar[m, k, c] - x[m, k, c] * x_bar[m, j, c])
+                by_bias[i, c] += DT * (x[m, j, c] * x_bar[m, k, c] - x[m, k, c] * x_bar[m, j, c])
         for i in range(3):
             j, k = (i + 1) % 3, (i + 2) % 3
             for c in range(n):
                 second = turn[j, c] * cross[k, c] - turn[k, c] * cross[j, c]
                 earlier[m, i, c] = x_bar[m, i, c] + cross[i, c] + F(0.5) * second
-    return b_next
+    return by_bias
 
 
 @njit(fastmath=True)
