@@ -8,8 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.networks.weights_file import NetworkConfig
-
 Array = NDArray[np.float64]
 DATA = Path(__file__).parents[1] / "tests" / "data" / "cortex"
 TOOLS = ("arm-none-eabi-gcc", "arm-none-eabi-size", "qemu-system-arm")
@@ -58,22 +56,22 @@ def missing_tools() -> list[str]:
     return [tool for tool in TOOLS if shutil.which(tool) is None]
 
 
-def build(folder: Path, source: Path, config: NetworkConfig, core: Core) -> tuple[Path, Size]:
+def build(folder: Path, source: Path, controls: bool, core: Core) -> tuple[Path, Size]:
     """Compile an exported network.
 
     Args:
         folder: Where the program goes.
         source: Folder of the export.
-        config: The network's.
+        controls: Whether it is a controller.
         core: What for.
 
     Returns:
         The program, and its size.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    name = "snn_control" if config.controls else "att_snn"
+    name = "snn_control" if controls else "att_snn"
     flags = [*core.flags, *STRICT, f"-I{source}"]
-    controller = ["-DCONTROLLER"] if config.controls else []
+    controller = ["-DCONTROLLER"] if controls else []
     network, program = folder / "network.o", folder / "program.elf"
     _run(["arm-none-eabi-gcc", *flags, "-fstack-usage", "-c", source / f"{name}.c", "-o", network])
     link = ["-nostartfiles", "-specs=nosys.specs", f"-T{DATA / 'mps2.ld'}"]

@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 from pages import Page, Parts, confirmed, row
 from simulated import simulated
 
+from estimators import create
 from estimators.circuit.file import is_circuit
 from estimators.control.controller import create_controller
 from estimators.evaluation.flights import load_flights
 from estimators.export.formats import export_weights
-from estimators.networks.network import NetworkEstimator
-from estimators.networks.on_chip import OnLoihi
 from estimators.networks.weights_file import load_network, shipped_controllers, shipped_names
 from quadsim.vehicle import GRAVITY
 
@@ -33,12 +32,12 @@ CLOCK_HZ, RATE_HZ = 168e6, 500.0
 
 def networks() -> list[str]:
     """The shipped networks in the chip's integers."""
-    return [
-        name for name in [*shipped_names(), *shipped_controllers()] if not is_circuit(name) and _on_chip(name)
-    ]
+    return [name for name in [*shipped_names(), *shipped_controllers()] if _on_chip(name)]
 
 
 def _on_chip(name: str) -> bool:
+    if is_circuit(name):
+        return True
     config, _ = load_network(name)
     return config.model == "att-snn" and config.quantised and config.recurrent_delay == 1
 
@@ -57,12 +56,11 @@ def set_points() -> Array:
 
 def emulated(name: str, gyro: Array, accel: Array) -> Array:
     """Outputs of the emulated chip, (STEPS, outputs)."""
-    config, tensors = load_network(name)
-    if config.controls:
-        controller = create_controller(f"{name}-loihi", config.rate_hz)
+    if name in shipped_controllers():
+        controller = create_controller(f"{name}-loihi", 200.0)
         controller.reset(1)
         return controller.sequence(set_points()[None], gyro[None], accel[None])[0]
-    est = NetworkEstimator(OnLoihi(config, tensors), config.rate_hz)
+    est = create("att-snn-loihi", weights=name)
     found = []
     for rate, force in zip(gyro, accel, strict=True):
         out = est.update(rate[None], force[None])
@@ -72,12 +70,11 @@ def emulated(name: str, gyro: Array, accel: Array) -> Array:
 
 def measured(name: str, core: Core, gyro: Array, accel: Array) -> tuple[Size, Run]:
     """A network on a core."""
-    config, _ = load_network(name)
-    readings = [gyro, accel]
+    controls, readings = name in shipped_controllers(), [gyro, accel]
     with tempfile.TemporaryDirectory() as folder:
         export_weights(name, Path(folder) / "c", "c99")
-        program, size = build(Path(folder) / "build", Path(folder) / "c", config, core)
-        return size, run(program, core, np.concatenate([set_points()] * config.controls + readings, axis=1))
+        program, size = build(Path(folder) / "build", Path(folder) / "c", controls, core)
+        return size, run(program, core, np.concatenate([set_points()] * controls + readings, axis=1))
 
 
 def rows(data: Path) -> Iterator[str]:

@@ -9,16 +9,14 @@ from typing import get_args
 import numpy as np
 import pytest
 
+from estimators import create
 from estimators.control.controller import create_controller
 from estimators.export.formats import export_weights
-from estimators.networks.network import NetworkEstimator
-from estimators.networks.on_chip import OnLoihi
 from estimators.networks.weights_file import (
     NetworkConfig,
     Reads,
     SetPointScaling,
     expected_shapes,
-    load_network,
     save_network,
     shipped_controllers,
 )
@@ -41,9 +39,8 @@ def samples(seed=0):
     return np.concatenate([wanted, gyro, accel], 1)
 
 
-def estimated(rows):
-    config, tensors = load_network("att-snn-hummingbird")
-    est = NetworkEstimator(OnLoihi(config, tensors), config.rate_hz)
+def estimated(name, rows):
+    est = create("att-snn-loihi", weights=name)
     return np.array([(est.update(row[None, :3], row[None, 3:]), est.up[0])[1] for row in rows])
 
 
@@ -56,19 +53,22 @@ def controlled(name, rows):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "core"),
-    [("att-snn-hummingbird", CORES[0]), *((name, CORES[1]) for name in shipped_controllers())],
+    [
+        *((name, CORES[0]) for name in ("att-snn", "att-snn-hummingbird")),
+        *((name, CORES[1]) for name in shipped_controllers()),
+    ],
 )
 def test_a_network_has_the_emulators_outputs_and_a_step_fits_500_hz(tmp_path, core, name):
-    config, _ = load_network(name)
+    controls = name in shipped_controllers()
     export_weights(name, tmp_path / "c", "c99")
-    program, size = build(tmp_path / "build", tmp_path / "c", config, core)
-    rows = samples()[:, 0 if config.controls else 4 :]
+    program, size = build(tmp_path / "build", tmp_path / "c", controls, core)
+    rows = samples()[:, 0 if controls else 4 :]
     done = run(program, core, rows)
-    ours = controlled(name, rows) if config.controls else estimated(rows)
+    ours = controlled(name, rows) if controls else estimated(name, rows)
     np.testing.assert_array_equal(done.outputs, ours)
     assert done.instructions.sum(axis=1).max() < 100_000
     assert size.flash < 256 * 1024
-    assert size.ram < 8 * 1024 or config.controls
+    assert size.ram < 8 * 1024 or controls
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from quadsim.runs.compiled import njit
 
 from ..networks.encoder import INPUT_ONE, MISSING, Scaling, encode_sample, encoder_fields
-from .parameters import FELT, FELT_RATE, FELT_S, OUTPUT, RATE_HZ, Parameters
+from .parameters import FELT, FELT_RATE, FELT_S, OUTPUT, RATE_HZ, SMOOTH_S, Parameters
 from .spikes import BIAS_RATE
 
 F = np.float32
@@ -23,6 +23,8 @@ DT = F(1 / RATE_HZ)
 _FELT_STEP, _FELT_TURN = F(1 / (RATE_HZ * FELT_S)), F(RATE_HZ / FELT_RATE)
 BIAS_MAX = F(BIAS_RATE)
 """Largest bias that is taken from a rate, and half of the largest that is held [rad/s]."""
+SMOOTH = F(-np.expm1(-1 / (RATE_HZ * SMOOTH_S)))
+"""Share of the way that an innovation goes in a sample."""
 CHUNK = 500
 """Samples that an estimator takes at once; what it needs to keep of them is bounded."""
 
@@ -47,7 +49,7 @@ class Trace(NamedTuple):
 
     x: Floats  #: vectors (T + 1, V, 3, n)
     bias: Floats  #: (T + 1, 3, n) [rad/s]
-    e: Floats  #: innovations (T, Q, 3, n)
+    e: Floats  #: innovations, smoothed (T + 1, Q, 3, n)
     felt: Floats  #: (T, 5, n)
     opened: Floats  #: gates before they are clipped (T, Q, n)
 
@@ -72,9 +74,9 @@ def stepped(p: Parameters) -> Steps:
 def new_trace(p: Parameters, steps: int, n: int) -> tuple[Trace, Senses]:
     """Room for a run of n copies over T samples, at its start."""
     vectors, gates = len(p.start), len(p.level)
-    shapes = ((steps + 1, vectors, 3), (steps + 1, 3), (steps, gates, 3), (steps, FELT), (steps, gates))
+    shapes = ((steps + 1, vectors, 3), (steps + 1, 3), (steps + 1, gates, 3), (steps, FELT), (steps, gates))
     trace = Trace(*(np.empty((*shape, n), F) for shape in shapes))
-    trace.x[0], trace.bias[0] = 0, 0
+    trace.x[0], trace.bias[0], trace.e[0] = 0, 0, 0
     trace.x[0, :, 2] = p.start[:, None]
     return trace, Senses(np.zeros((9, n), F), np.tile(p.onset.astype(F)[:, None], n))
 
@@ -87,7 +89,7 @@ def run_floats(angle, force, w, trace, senses):
         angle: Body rate times the time of a sample (T, 3, n) [rad].
         force: Specific force (T, 3, n) [9.81 m/s²].
         w: `Steps`.
-        trace: `Trace`; x[0] and bias[0] are read, the rest is written.
+        trace: `Trace`; x[0], bias[0] and e[0] are read, the rest is written.
         senses: `Senses`, changed.
     """
     for t in range(angle.shape[0]):
@@ -160,18 +162,19 @@ def _turn_and_mix(angle, force, w, x, following):
 
 @njit
 def _innovate(t, force, w, trace):
-    """Innovations, and what passes their gates."""
-    x, following, e, opened = trace.x[t], trace.x[t + 1], trace.e[t], trace.opened[t]
+    """Innovations, smoothed, and what passes their gates."""
+    x, following, e, opened = trace.x[t], trace.x[t + 1], trace.e[t + 1], trace.opened[t]
     n, vectors = force.shape[1], x.shape[0]
     passed = np.empty(n, F)
     for q in range(e.shape[0]):
         for i in range(3):
             for c in range(n):
-                e[q, i, c] = w.read[q, i] * force[i, c]
+                passed[c] = w.read[q, i] * force[i, c]
             for m in range(vectors):
                 for c in range(n):
-                    e[q, i, c] += w.take[q, i, m] * x[m, i, c]
+                    passed[c] += w.take[q, i, m] * x[m, i, c]
             for c in range(n):
+                e[q, i, c] = trace.e[t, q, i, c] + SMOOTH * (passed[c] - trace.e[t, q, i, c])
                 passed[c] = _passed(opened[q, c], e[q, i, c])
             for m in range(vectors):
                 for c in range(n):
@@ -186,7 +189,7 @@ def _learn(t, w, trace):
     trace.bias[t + 1] = trace.bias[t]
     for p in range(w.learn.size):
         q = w.pairs[p, 1]
-        x, e, opened = trace.x[t, w.pairs[p, 0]], trace.e[t, q], trace.opened[t, q]
+        x, e, opened = trace.x[t, w.pairs[p, 0]], trace.e[t + 1, q], trace.opened[t, q]
         for i in range(3):
             for c in range(n):
                 passed[i, c] = _passed(opened[c], e[i, c])
@@ -204,7 +207,7 @@ class FloatCircuit:
 
     def __init__(self, scaling: Scaling, p: Parameters) -> None:
         vectors, gates = len(p.start), len(p.level)
-        sizes = {"x": 3 * vectors, "bias": 3, "smooth": 9, "u": gates, "begun": 1}
+        sizes = {"x": 3 * vectors, "bias": 3, "e": 3 * gates, "smooth": 9, "u": gates, "begun": 1}
         self.state = np.dtype([*encoder_fields(F), *((name, F, size) for name, size in sizes.items())])
         self.arrays = np.ravel(scaling), stepped(p), p.start.astype(F), p.onset.astype(F)
         self.kernel = _run_states
@@ -228,12 +231,14 @@ def _run_states(gyro, accel, set_points, scaling, w, start, onset, states, out):
         trace = Trace(
             np.empty((steps + 1, vectors, 3, n), F),
             np.empty((steps + 1, 3, n), F),
-            np.empty((steps, gates, 3, n), F),
+            np.empty((steps + 1, gates, 3, n), F),
             np.empty((steps, FELT, n), F),
             np.empty((steps, gates, n), F),
         )
         senses = Senses(np.empty((9, n), F), np.empty((gates, n), F))
         at = MISSING + 1
+        of_bias, of_e = at + 3 * vectors, at + 3 * vectors + 3
+        felt = of_e + 3 * gates
         for c in range(n):
             kept = states[c]
             for t in range(steps):
@@ -245,18 +250,22 @@ def _run_states(gyro, accel, set_points, scaling, w, start, onset, states, out):
             for k in range(3 * vectors):
                 trace.x[0, k // 3, k % 3, c] = kept[at + k]
             for i in range(3):
-                trace.bias[0, i, c] = kept[at + 3 * vectors + i]
-            senses.smooth[:, c] = kept[at + 3 * vectors + 3 : at + 3 * vectors + 12]
-            senses.u[:, c] = kept[at + 3 * vectors + 12 : at + 3 * vectors + 12 + gates]
+                trace.bias[0, i, c] = kept[of_bias + i]
+            for k in range(3 * gates):
+                trace.e[0, k // 3, k % 3, c] = kept[of_e + k]
+            senses.smooth[:, c] = kept[felt : felt + 9]
+            senses.u[:, c] = kept[felt + 9 : felt + 9 + gates]
         run_floats(angle, force, w, trace, senses)
         for c in range(n):
             kept = states[c]
             for k in range(3 * vectors):
                 kept[at + k] = trace.x[steps, k // 3, k % 3, c]
             for i in range(3):
-                kept[at + 3 * vectors + i] = trace.bias[steps, i, c]
-            kept[at + 3 * vectors + 3 : at + 3 * vectors + 12] = senses.smooth[:, c]
-            kept[at + 3 * vectors + 12 : at + 3 * vectors + 12 + gates] = senses.u[:, c]
+                kept[of_bias + i] = trace.bias[steps, i, c]
+            for k in range(3 * gates):
+                kept[of_e + k] = trace.e[steps, k // 3, k % 3, c]
+            kept[felt : felt + 9] = senses.smooth[:, c]
+            kept[felt + 9 : felt + 9 + gates] = senses.u[:, c]
             for t in range(steps):
                 for i in range(3):
                     out[c, 3 * (first + t) + i] = trace.x[t + 1, OUTPUT, i, c] - (i == 2)

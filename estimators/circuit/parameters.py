@@ -6,7 +6,7 @@ linearly, and Q innovations e_q. Each of these passes a gate by a share r_q, whi
 forces, rates, and how far the force is from the first vector.
 
     ẋ_m = -(ω - clip(b, ±R)) × x_m + Σ_n A_mn x_n + B_m a + Σ_q K_qm d_q
-    e_q = clip(Σ_n P_qn x_n + R_q a, ±2),   d_q = clip(r_q e_q, ±1)
+    τ_e ė_q = Σ_n P_qn x_n + R_q a - e_q,   d_q = clip(r_q clip(e_q, ±2), ±1)
     τ_q u̇_q = W_q z - u_q,   r_q = clip(u_q + c_q, 0, 1)
     ḃ = Σ_p κ_p (x_p × d_p), b within ±2 R
 
@@ -39,7 +39,7 @@ FELT_RATE = 4.0
 SLOWEST, SLOW, FAST = 4096 / 800, 4096 / (3 * 800), 4096 / (17 * 800)
 """Time constants of gates, which are decays of the chip with four steps a sample [s]."""
 SMOOTH_S = 0.025
-"""Time constant of the currents of innovations on the chip [s]."""
+"""Time constant of innovations, τ_e, which smooths their spikes [s]."""
 TAU_S = 1.5
 """Time constant of the pull before training [s]."""
 

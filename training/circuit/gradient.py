@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.circuit.floats import BIAS_MAX, DT, F, Trace, new_trace, run_floats, stepped, unbiased
+from estimators.circuit.floats import BIAS_MAX, DT, SMOOTH, F, Trace, new_trace, run_floats, stepped, unbiased
 from estimators.circuit.parameters import FELT, LEARNT, OUTPUT, RATE_HZ, Parameters
 from quadsim.runs.compiled import njit
 
@@ -91,12 +91,13 @@ def _backward(angle, force, w, trace, outer, slopes):
     """From the gradient by the estimates (T, 3, n) to that by everything else, added to `slopes`."""
     n, (gates, vectors) = angle.shape[2], (w.give.shape[0], w.pull.shape[1])
     x_bar, earlier = np.zeros((vectors, 3, n), F), np.zeros((vectors, 3, n), F)
-    b_bar, d_bar, d = np.zeros((3, n), F), np.zeros((gates, 3, n), F), np.zeros((gates, 3, n), F)
+    b_bar, e_bar = np.zeros((3, n), F), np.zeros((gates, 3, n), F)
+    d_bar, d = np.zeros((gates, 3, n), F), np.zeros((gates, 3, n), F)
     for t in range(angle.shape[0] - 1, -1, -1):
         for i in range(3):
             for c in range(n):
                 x_bar[OUTPUT, i, c] += outer[t, i, c]
-        x, e, opened = trace.x[t], trace.e[t], trace.opened[t]
+        x, e, opened = trace.x[t], trace.e[t + 1], trace.opened[t]
         for q in range(gates):
             for i in range(3):
                 for c in range(n):
@@ -108,7 +109,7 @@ def _backward(angle, force, w, trace, outer, slopes):
         b_next = b_bar + free * _turned_back(turn, x, x_bar, earlier)
         _mixed_back(force[t], x, x_bar, earlier, w, slopes)
         _learnt_back(x, d, b_bar, earlier, d_bar, w, slopes)
-        _passed_back(t, force[t], x, x_bar, e, opened, d, d_bar, earlier, w, slopes)
+        _passed_back(t, force[t], x, x_bar, e, opened, d, d_bar, e_bar, earlier, w, slopes)
         x_bar, earlier = earlier, x_bar
         b_bar = b_next
 
@@ -166,7 +167,7 @@ def _learnt_back(x, d, b_bar, earlier, d_bar, w, slopes):
 
 
 @njit(fastmath=True)
-def _passed_back(t, force, x, x_bar, e, opened, d, d_bar, earlier, w, slopes):
+def _passed_back(t, force, x, x_bar, e, opened, d, d_bar, e_bar, earlier, w, slopes):
     """The same for innovations and gates."""
     n, vectors = force.shape[1], x.shape[0]
     for q in range(e.shape[0]):
@@ -183,7 +184,9 @@ def _passed_back(t, force, x, x_bar, e, opened, d, d_bar, earlier, w, slopes):
                 kept = min(max(e[q, i, c], F(-2)), F(2))
                 inside = F(abs(share * kept) < 1)
                 slopes.opened[t, q, c] += inside * d_bar[q, i, c] * kept
-                d_bar[q, i, c] *= inside * F(abs(e[q, i, c]) < 2) * share
+                of_e = e_bar[q, i, c] + d_bar[q, i, c] * inside * F(abs(e[q, i, c]) < 2) * share
+                e_bar[q, i, c] = (F(1) - SMOOTH) * of_e
+                d_bar[q, i, c] = SMOOTH * of_e
                 total += d_bar[q, i, c] * force[i, c]
             slopes.read[q, i] += total
             for m in range(vectors):
