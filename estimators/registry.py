@@ -166,10 +166,12 @@ def training_misfit(name: str, vehicle: str | Path | Vehicle) -> str:
         name: Of an estimator or a controller, as `create` and `create_controller` take it.
         vehicle: The simulated vehicle, as in `create`.
     """
-    if name not in (*NETWORKS, *shipped_names(), *shipped_controllers()) and not name.endswith(END):
+    network = name.removesuffix("-loihi")
+    ships = network in (*NETWORKS, *shipped_names(), *shipped_controllers())
+    if not ships and not network.endswith(END):
         return ""
     try:
-        config = load_circuit(name)[0] if is_circuit(name) else load_network(name)[0]
+        config = load_circuit(network)[0] if is_circuit(network) else load_network(network)[0]
         trained, (airframe, _) = config.training.get("vehicles"), loaded(vehicle, None)
     except (OSError, ValueError):  # it cannot fly, which its flight reports
         return ""

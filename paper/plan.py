@@ -5,9 +5,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from estimators.circuit.file import SHIPPED as CIRCUITS
 from quadsim.config.toml import nearest
 from quadsim.held_out import unreserved
-from quadsim.runs.fingerprint import ASSETS, content_digest
+from quadsim.runs.fingerprint import content_digest
 
 from .stages import Stage
 from .work import filters, flights, inside, networks, scores
@@ -161,8 +162,11 @@ def _scores(s: Sizes) -> list[Stage]:
         "att-snn, ours": ["att-snn-loihi", OURS],
     }
     for label, model in SHIPPED.items():
-        weights = ASSETS / "weights" / f"{model.removesuffix('-loihi')}.safetensors"
-        made[label] = [model, "", content_digest(weights.read_bytes())[:8]]  # new ones are scored again
+        made[label] = [
+            model,
+            "",
+            content_digest(CIRCUITS[model].read_bytes())[:8],
+        ]  # new ones are scored again
     looped = {label: made[label] for label in ("att-snn", "att-snn, chip", "att-snn, ours")}
     in_loop = ["complementary", "mahony", "ekf"]
     loop = {"seeds": s["loop_seeds"], "duration_s": s["loop_s"], "filters": in_loop, "networks": looped}

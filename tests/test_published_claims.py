@@ -60,11 +60,11 @@ def test_the_page_of_training_compares_floats_with_the_chip(script, make_flights
     page = script("training_page")
     flights = load_flights([make_flights(flights=1, seconds=2.0)])
     assert page.cost_of_rounding(flights) < 1.0
-    monkeypatch.setattr(page, "create", lambda name: page.without_rounding("att-snn"))
+    monkeypatch.setattr(page, "create", lambda name, **_: page.without_rounding(page.NAME))
     assert page.cost_of_rounding(flights) == 0.0
-    made = iter((page.without_rounding("att-snn-paper"), page.without_rounding("att-snn")))
-    monkeypatch.setattr(page, "create", lambda name: next(made))
-    with pytest.raises(ValueError, match="estimates that differ from those of att-snn-loihi"):
+    made = iter((page.without_rounding("att-snn-paper"), page.without_rounding(page.NAME)))
+    monkeypatch.setattr(page, "create", lambda name, **_: next(made))
+    with pytest.raises(ValueError, match="att-snn-hummingbird: estimates that differ on the emulated chip"):
         page.cost_of_rounding(flights)
 
 

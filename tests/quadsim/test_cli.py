@@ -55,8 +55,8 @@ def dataset(quadsim, tmp_path):
         "evaluate --data flights.zarr --estimator mahony",
         "train --data flights.zarr",
         "train --preset control-attitude",
-        "train --data flights.zarr --folds 2",
-        "report att-snn --data flights.zarr",
+        "train --preset paper --data flights.zarr --folds 2",
+        "report att-snn-paper --data flights.zarr",
     ],
 )
 def test_a_folder_that_another_process_writes_is_left_alone(quadsim, tmp_path, command):
@@ -114,14 +114,17 @@ def test_every_verb_has_help_of_its_own():
         (["train", "--data", "missing.zarr", "--out", "run"], "missing.zarr"),
         (["train", "--data", "missing.zarr", "--out", "run", "--preset", "wurst"], "wurst"),
         (["train", "--data", "missing.zarr", "--out", "run", "--set", "epochs"], "name=value"),
-        (["train", "--data", "missing.zarr", "--out", "run", "--set", "epoch=1"], "valid: encoding, hidden"),
+        (["train", "--data", "missing.zarr", "--out", "run", "--set", "epoch=1"], "valid: vectors, gates"),
         (["train", "--data", "missing.zarr", "--out", "run", "--set", "seed=3"], "option of its own"),
         (
             ["train", "--data", "missing.zarr", "--out", "run", "--set", "rate_targets=(0.1, 0.1)"],
             "lists are [1, 2]",
         ),
         (["train", "--data", "missing.zarr", "--out", "run", "--set", "validation=3"], "option of its own"),
-        (["train", "--data", "missing.zarr", "--out", "run", "--folds", "2"], "missing.zarr"),
+        (
+            ["train", "--data", "missing.zarr", "--out", "run", "--folds", "2"],
+            "--folds is not for the circuit",
+        ),
         (["tune", "--estimator", "mahony", "--data", "missing.zarr", "--out", "x.toml"], "missing.zarr"),
         (["evaluate", "--data", "missing.zarr"], "missing.zarr"),
         (["evaluate", "--logs", "missing.csv", "--estimator", "missing.safetensors"], "missing"),
@@ -136,7 +139,7 @@ def test_every_verb_has_help_of_its_own():
         (["paper", "--out", "x", "--only", "fig12"], "fig"),
         (["paper", "--out", "x", "--preset", "fast"], "full and quick"),
         (["report", "missing.safetensors"], "missing.safetensors"),
-        (["report", "att-rnn"], "weights of att-snn"),
+        (["report", "att-rnn-paper"], "weights of att-snn"),
         (
             ["bench", "--scenario", "hover", "--estimator", "att-snn", "--set", "rate=100", "--seeds", "1"],
             "200 Hz",
@@ -208,7 +211,7 @@ def test_the_same_command_again_finds_its_work_done(quadsim, dataset):
 
 
 def test_a_report_of_weights_shows_where_the_neurons_go(quadsim):
-    code, out, _ = quadsim("report", "att-snn")
+    code, out, _ = quadsim("report", "att-snn-hummingbird")
     assert code == 0
     for heading in ("compartments", "synaptic", "formats", "fan-in", "(1048576)"):
         assert heading in out
@@ -280,7 +283,7 @@ def test_ctrl_c_exits_as_interrupted_also_where_a_training_ends_in_order(quadsim
     best = SimpleNamespace(epoch=0)
     stopped = SimpleNamespace(best=best, weights="run/best.safetensors", reason=INTERRUPTED, before=None)
     monkeypatch.setattr("training.loop.train", lambda *_, **__: stopped)
-    code, out, err = quadsim("train", "--data", "data.zarr", "--out", "run")
+    code, out, err = quadsim("train", "--preset", "paper", "--data", "data.zarr", "--out", "run")
     assert code == 130
     assert "interrupted; finished work stays" in err
     assert "best.safetensors" in out
