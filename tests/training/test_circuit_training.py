@@ -10,7 +10,7 @@ from quadsim.flight.recipe import load_recipe
 from training.augment import Augmentation
 from training.circuit.gradient import loss_and_gradient
 from training.circuit.loop import make_run, train_circuit
-from training.circuit.streams import draw_streams, held, load_motion, sway
+from training.circuit.streams import Batch, bias_of, draw_streams, held, load_motion, sway
 
 
 def batch(seed=0, steps=200, n=6):
@@ -18,7 +18,9 @@ def batch(seed=0, steps=200, n=6):
     angle, force = rng.normal(0, 0.02, (steps, 3, n)), rng.normal([[0], [0], [1]], 0.3, (steps, 3, n))
     up = rng.normal([[0], [0], [2]], 0.3, (steps, 3, n))
     up /= np.linalg.norm(up, axis=1, keepdims=True)
-    return *(each.astype(np.float32) for each in (angle, force, up)), np.ones(n, np.float32)
+    bias, known = rng.normal(0, 0.02, (3, n)), np.arange(n) < n // 2
+    signals = (each.astype(np.float32) for each in (angle, force, up, bias))
+    return Batch(*signals, known), np.ones(n, np.float32)
 
 
 @pytest.mark.parametrize("name", LEARNT)
@@ -86,12 +88,17 @@ def test_a_run_says_what_is_wrong(data, tmp_path):
 def test_streams_are_readings_and_their_up(data):
     flights, hands = load_motion(data)
     assert (len(flights), len(hands)) == (1, 1)
-    streams = draw_streams(flights, hands, 70, 400, 0.5, 0.7, 0.5, Augmentation(), np.random.default_rng(0))
-    for each in streams:
+    streams = draw_streams(
+        flights, hands, 70, 400, 0.5, 0.7, 0.5, 0.5, Augmentation(), np.random.default_rng(0)
+    )
+    for each in streams[:3]:
         assert each.shape == (70, 400, 3)
         assert np.isfinite(each).all()
+    assert 20 < streams.known.sum() < 50
     np.testing.assert_allclose(np.linalg.norm(streams.up, axis=2), 1, atol=1e-5)
-    again = draw_streams(flights, hands, 70, 400, 0.5, 0.7, 0.5, Augmentation(), np.random.default_rng(0))
+    again = draw_streams(
+        flights, hands, 70, 400, 0.5, 0.7, 0.5, 0.5, Augmentation(), np.random.default_rng(0)
+    )
     np.testing.assert_array_equal(streams.force, again.force)
 
 
@@ -104,6 +111,19 @@ def test_a_hand_sways_within_bounds():
     assert np.abs(added).max() > 5
     place = np.cumsum(np.cumsum(added.astype(float), 1), 1) / 200**2
     assert np.abs(place).max() < 1.5
+
+
+def test_the_bias_of_a_stream_is_found_where_up_tells_it():
+    rng, rate = np.random.default_rng(4), 200.0
+    t = np.arange(4000) / rate
+    roll, pitch = 0.4 * np.sin(t), 0.3 * np.cos(0.7 * t)
+    up = np.stack([-np.sin(pitch), np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch)], 1)
+    rate_of = np.cross(-up, np.gradient(up, axis=0) * rate)  # the smallest rate that turns up so
+    bias = rng.normal(0, 0.05, 3)
+    found = bias_of((rate_of + bias)[None], up[None], rate)[0]
+    np.testing.assert_allclose(found, bias, atol=2e-3)
+    resting = bias_of(np.tile(bias, (1, 100, 1)), np.tile([0.0, 0.0, 1.0], (1, 100, 1)), rate)[0]
+    np.testing.assert_allclose(resting, [bias[0], bias[1], 0.0], atol=1e-3)
 
 
 def test_lost_readings_are_the_last_good_ones():

@@ -11,9 +11,22 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.circuit.floats import BIAS_MAX, DT, SMOOTH, F, Trace, new_trace, run_floats, stepped, unbiased
+from estimators.circuit.floats import (
+    BIAS_MAX,
+    DT,
+    SMOOTH,
+    F,
+    Senses,
+    Trace,
+    new_trace,
+    run_floats,
+    stepped,
+    unbiased,
+)
 from estimators.circuit.parameters import FELT, LEARNT, OUTPUT, RATE_HZ, Parameters
 from quadsim.runs.compiled import njit
+
+from .streams import Batch
 
 Floats = NDArray[np.float32]
 LEAK = F(0.3)
@@ -35,30 +48,36 @@ class Slopes(NamedTuple):
     opened: Floats
 
 
-def loss_and_gradient(
-    p: Parameters, angle: Floats, force: Floats, up: Floats, weights: Floats
-) -> tuple[float, Parameters, Trace]:
+def begin(p: Parameters, batch: Batch) -> tuple[Trace, Senses]:
+    """Room for a run over a batch, at its start: as always, or with attitude and bias known."""
+    trace, senses = new_trace(p, len(batch.angle), len(batch.known))
+    known = np.flatnonzero(batch.known)
+    trace.x[0][:, :, known] = p.start[:, None, None] * batch.up[0][:, known]
+    trace.bias[0][:, known] = batch.bias[:, known]
+    senses.u[:, known] = 0
+    return trace, senses
+
+
+def loss_and_gradient(p: Parameters, batch: Batch, weights: Floats) -> tuple[float, Parameters, Trace]:
     """The loss of a batch of streams and its gradient.
 
     Args:
         p: The circuit.
-        angle: Body rate times the time of a sample (T, 3, n) [rad].
-        force: Specific force (T, 3, n) [9.81 m/s²].
-        up: The world's up in body axes, the target (T, 3, n).
+        batch: Readings, and up as the target.
         weights: Of the streams (n,).
 
     Returns:
         The loss: mean of √(|error|² + ROUNDING²) - ROUNDING of the normalised estimate, and the cost of its
         length; its gradient, where `LEARNT` is not 0; and the trace.
     """
-    w, (trace, senses) = stepped(p), new_trace(p, len(angle), angle.shape[2])
+    w, (trace, senses), (angle, force, up, _, known) = stepped(p), begin(p, batch), batch
     run_floats(angle, force, w, trace, senses)
     loss, outer = _loss(trace.x[1:, OUTPUT], up, weights / (weights.sum() * len(angle)))
     learnt = w.mix, w.pull, w.give, w.take, w.read, w.learn, trace.opened
     slopes = Slopes(*map(np.zeros_like, learnt))
     _backward(angle, force, w, trace, outer, slopes)
     gate, level, onset = (np.zeros_like(each, F) for each in (w.gate, w.level, w.level))
-    _gates(slopes.opened, trace, w.share, gate, level, onset)
+    _gates(slopes.opened, trace, w.share, known, gate, level, onset)
     dt = 1 / RATE_HZ
     body = {"mix": (0, dt), "pull": (0, dt), "give": (1, dt), "take": (1, 1.0), "read": (1, 1.0)}
     found = {name: _planes(getattr(slopes, name), axis) * unit for name, (axis, unit) in body.items()}
@@ -198,7 +217,7 @@ def _passed_back(t, force, x, x_bar, e, opened, d, d_bar, e_bar, earlier, w, slo
 
 
 @njit(cache=True, error_model="numpy", fastmath=True)
-def _gates(slope, trace, share, gate, level, onset):
+def _gates(slope, trace, share, known, gate, level, onset):
     """From the gradient by the gates' openings to that by their weights, levels and onsets."""
     steps, gates, n = slope.shape
     u_bar = np.zeros((gates, n), F)
@@ -217,4 +236,5 @@ def _gates(slope, trace, share, gate, level, onset):
                 u_bar[q, c] *= F(1) - share[q]
     for q in range(gates):
         for c in range(n):
-            onset[q] += u_bar[q, c]
+            if not known[c]:
+                onset[q] += u_bar[q, c]

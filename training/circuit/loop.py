@@ -23,7 +23,7 @@ from pydantic import ValidationError
 
 from estimators.circuit.estimator import circuit_estimator
 from estimators.circuit.file import CircuitConfig, load_circuit, save_circuit
-from estimators.circuit.floats import new_trace, run_floats, stepped
+from estimators.circuit.floats import run_floats, stepped
 from estimators.circuit.parameters import LEARNT, OUTPUT, RATE_HZ, Parameters, untrained
 from estimators.metrics import absolute_error
 from quadsim.config.ranges import Between, Share
@@ -36,7 +36,7 @@ from quadsim.runs.record import commit
 
 from ..augment import Augmentation
 from ..data import load_training_flights
-from .gradient import loss_and_gradient
+from .gradient import begin, loss_and_gradient
 from .streams import Streams, draw_streams, load_motion
 
 Array = NDArray[np.float64]
@@ -70,6 +70,8 @@ class CircuitTraining(Strict):
     """Share of the streams in the hand to which translation is added."""
     calibrated_share: Share = 0.5
     """Share of the streams whose biases, scales and mounting are a tenth of those of the augmentation."""
+    known_share: Share = 0.6
+    """Share of the streams that begin with attitude and bias known, as the later parts of a flight do."""
     updates: Number = 13000
     """Updates of the weights."""
     batch_size: Annotated[int, Between(1, 1024)] = 32
@@ -181,6 +183,7 @@ def train_circuit(run: CircuitRun, out: Path, progress: Progress | None = None) 
             run.hand_share,
             run.sway_share,
             run.calibrated_share,
+            run.known_share,
             run.augmentation,
             rng,
         )
@@ -257,11 +260,11 @@ def stream_weights(streams: Streams) -> NDArray[np.float32]:
     """
     p, errors = untrained(), []
     for first in range(0, len(streams.up), 64):
-        angle, force, up = streams.batch(np.arange(first, min(first + 64, len(streams.up))))
-        trace, senses = new_trace(p, len(angle), angle.shape[2])
-        run_floats(angle, force, stepped(p), trace, senses)
+        batch = streams.batch(np.arange(first, min(first + 64, len(streams.up))))
+        trace, senses = begin(p, batch)
+        run_floats(batch.angle, batch.force, stepped(p), trace, senses)
         estimate = trace.x[1:, OUTPUT]
-        cosine = (estimate * up).sum(1) / np.linalg.norm(estimate, axis=1)
+        cosine = (estimate * batch.up).sum(1) / np.linalg.norm(estimate, axis=1)
         errors.append(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean(0))
     weights = 1 / (np.concatenate(errors) + 0.5)
     return (weights / weights.mean()).astype(np.float32)
@@ -278,7 +281,7 @@ def _some_updates(run: CircuitRun, streams: Streams, weights: NDArray[np.float32
         rng = np.random.default_rng([run.seed, 1, k])
         rows = rng.choice(len(weights), min(run.batch_size, len(weights)), replace=False)
         p = _with(start, state.weights)
-        loss, slope, trace = loss_and_gradient(p, *streams.batch(rows), weights[rows])
+        loss, slope, trace = loss_and_gradient(p, streams.batch(rows), weights[rows])
         gradient, longest = _flat(slope), max(longest, float(np.abs(trace.x).max()))
         if not np.isfinite(loss) or not np.isfinite(gradient).all() or np.abs(trace.x).max() > DIVERGED:
             state.weights, state.first = state.slow.copy(), 0 * state.first
@@ -299,9 +302,9 @@ def _some_updates(run: CircuitRun, streams: Streams, weights: NDArray[np.float32
 
 def scaled(p: Parameters, streams: Streams) -> Parameters:
     """The circuit with scales of its vectors from how long they are on streams."""
-    angle, force, _ = streams.batch(np.arange(min(128, len(streams.up))))
-    trace, senses = new_trace(p, len(angle), angle.shape[2])
-    run_floats(angle, force, stepped(p), trace, senses)
+    batch = streams.batch(np.arange(min(128, len(streams.up))))
+    trace, senses = begin(p, batch)
+    run_floats(batch.angle, batch.force, stepped(p), trace, senses)
     size = np.abs(trace.x[1:]).transpose(1, 0, 2, 3).reshape(len(p.start), -1)
     return p._replace(scale=np.quantile(size, RANGE_QUANTILE, axis=1).astype(np.float64) / RANGE)
 

@@ -22,6 +22,7 @@ BLOCK = 32
 """Streams that are drawn at once."""
 EARLY = 0.25
 """Share of the streams that begin where a flight does."""
+RIDGE = 1e-3
 CALIBRATED = 0.1
 """Errors of a calibrated IMU, relative to those of one that is not."""
 SWAY_HZ, SWAY_M, SWAY_MAX = (0.3, 2.5), 0.5, 40.0
@@ -29,17 +30,29 @@ SWAY_HZ, SWAY_M, SWAY_MAX = (0.3, 2.5), 0.5, 40.0
 position is bounded, and its acceleration may be large."""
 
 
+class Batch(NamedTuple):
+    """Some streams, with the copies last as the kernels have them."""
+
+    angle: Floats  #: (T, 3, n)
+    force: Floats  #: (T, 3, n)
+    up: Floats  #: (T, 3, n)
+    bias: Floats  #: (3, n)
+    known: NDArray[np.bool_]  #: (n,)
+
+
 class Streams(NamedTuple):
-    """Readings and what they should give, by stream; the copies last as the kernels have them."""
+    """Readings and what they should give, by stream."""
 
     angle: Floats  #: body rate times the time of a sample (streams, T, 3) [rad]
     force: Floats  #: specific force (streams, T, 3) [9.81 m/s²]
     up: Floats  #: the world's up in body axes (streams, T, 3)
+    bias: Floats  #: of the gyroscope, as far as `up` tells it (streams, 3) [rad/s]
+    known: NDArray[np.bool_]  #: whether a stream begins with its attitude and bias known (streams,)
 
-    def batch(self, rows: NDArray[np.int64]) -> tuple[Floats, Floats, Floats]:
-        """Some of them, each (T, 3, n)."""
-        angle, force, up = (np.ascontiguousarray(each[rows].transpose(1, 2, 0)) for each in self)
-        return angle, force, up
+    def batch(self, rows: NDArray[np.int64]) -> Batch:
+        """Some of them."""
+        parts = (np.ascontiguousarray(each[rows].transpose(1, 2, 0)) for each in self[:3])
+        return Batch(*parts, np.ascontiguousarray(self.bias[rows].T), self.known[rows])
 
 
 def load_motion(paths: Sequence[str | Path]) -> tuple[list[TrainingFlights], list[TrainingFlights]]:
@@ -61,6 +74,7 @@ def draw_streams(
     hand_share: float,
     sway_share: float,
     calibrated_share: float,
+    known_share: float,
     augmentation: Augmentation,
     rng: np.random.Generator,
     progress: Callable[[int, int], None] | None = None,
@@ -73,7 +87,8 @@ def draw_streams(
     blocks = -(-count // BLOCK)
     kinds, fine = rng.random(blocks) < hand_share, rng.random(blocks) < calibrated_share
     calibrated = _calibrated(augmentation)
-    done = Streams(*(np.empty((count, steps, 3), np.float32) for _ in Streams._fields))
+    signals = (np.empty((count, steps, 3), np.float32) for _ in range(3))
+    done = Streams(*signals, np.empty((count, 3), np.float32), rng.random(count) < known_share)
     for k, by_hand in enumerate(kinds):
         part = slice(k * BLOCK, min((k + 1) * BLOCK, count))
         swaying = sway_share if by_hand else 0.0
@@ -83,6 +98,7 @@ def draw_streams(
         done.angle[part] = held(gyro) / rate_hz
         done.force[part] = held(accel) / GRAVITY
         done.up[part] = up
+        done.bias[part] = bias_of(done.angle[part] * rate_hz, up, rate_hz)
         if progress:
             progress(part.stop, count)
     return done
@@ -108,6 +124,17 @@ def _block(
         streams.append([getattr(flights, name)[row, first : first + steps] for name in SIGNALS])
     rate, force, _, _, up = (np.stack(each) for each in zip(*streams, strict=True))
     return rate, sway(rate, force, up, swaying, sets[0].rate_hz, rng) if swaying else force, up
+
+
+def bias_of(gyro: Floats, up: Floats, rate_hz: float) -> Floats:
+    """The gyroscope's bias (n, 3) that best explains how up turns, by least squares of u̇ = u × (ω - b).
+
+    About an axis that is vertical throughout, of which up tells nothing, it is 0.
+    """
+    change = np.gradient(up, axis=1) * rate_hz
+    right = gyro - up * (up * gyro).sum(2, keepdims=True) + np.cross(up, change)
+    square = np.eye(3) * (1 + RIDGE) - np.einsum("nti,ntj->nij", up, up) / up.shape[1]
+    return np.linalg.solve(square, right.mean(1)[..., None])[..., 0]
 
 
 def held(readings: Floats) -> Floats:
