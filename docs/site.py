@@ -25,6 +25,7 @@ from quadsim.flight.scenario import Scenario
 from quadsim.held_out import HeldOut
 from quadsim.imu.spec import ImuSpec
 from quadsim.vehicle import Vehicle
+from training.circuit.loop import CircuitTraining
 from training.config import Preset
 
 ROOT = Path(__file__).parents[1]
@@ -38,9 +39,10 @@ KINDS: dict[str, tuple[type[BaseModel], str]] = {
     "recipe": (Recipe, "What `quadsim generate` simulates: `assets/recipes/`, `--recipe`."),
     "scenario": (Scenario, "What `quadsim fly` and `quadsim bench` simulate: `scenarios/`."),
     "preset": (
-        Preset,
-        "How a network is trained: `assets/presets/`, `--preset`; `--set` takes the same keys.",
+        CircuitTraining,
+        "How the circuit is trained: `assets/presets/`, `--preset`; `--set` takes the same keys.",
     ),
+    "preset of a network of layers": (Preset, "How a network of layers is trained: the same."),
     "tuning": (Tuned, "A filter's parameters, a table for each: `assets/tuning/`, `--set tuning=`."),
     "held-out": (HeldOut, "A held-out suite: `assets/held-out/`."),
 }

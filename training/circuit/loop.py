@@ -27,7 +27,7 @@ from estimators.circuit.floats import run_floats, stepped
 from estimators.circuit.parameters import LEARNT, OUTPUT, RATE_HZ, Parameters, untrained
 from estimators.metrics import absolute_error
 from quadsim.config.ranges import Between, Share
-from quadsim.config.toml import Strict, describe, load_toml, merged, preset_names
+from quadsim.config.toml import Strict, describe, load_toml, merged, preset_names, shipped_folder
 from quadsim.dataset.figures import STYLE
 from quadsim.held_out import unreserved
 from quadsim.runs.files import alone, drop_parts, save_figure, write_csv, write_whole
@@ -35,6 +35,7 @@ from quadsim.runs.fingerprint import code_digest
 from quadsim.runs.record import commit
 
 from ..augment import Augmentation
+from ..config import TrainingRecipe
 from ..data import load_training_flights
 from .gradient import begin, loss_and_gradient
 from .streams import Streams, draw_streams, load_motion
@@ -54,7 +55,7 @@ NOISE = 1.0
 
 
 class CircuitTraining(Strict):
-    """How a circuit is trained; the recipe that ships is `assets/circuits/att-snn.toml`."""
+    """How a circuit is trained; the recipe that ships is `assets/presets/att-snn.toml`."""
 
     vectors: Annotated[int, Between(4, 64)] = 6
     """Vectors that turn."""
@@ -133,13 +134,14 @@ class Trained(NamedTuple):
 
 
 def is_recipe(preset: str | Path) -> bool:
-    """Whether a preset is of a circuit: the name of one that ships, or a TOML file with a circuit's keys."""
-    if str(preset) in preset_names("circuits"):
-        return True
+    """Whether a preset, one that ships or a TOML file, has keys that only circuits have."""
+    shipped = str(preset) in preset_names("presets")
+    file = shipped_folder("presets") / f"{preset}.toml" if shipped else Path(preset)
     try:
-        return bool({"updates", "streams", "gates"} & tomllib.loads(Path(preset).read_text("utf-8")).keys())
+        keys = tomllib.loads(file.read_text("utf-8")).keys()
     except (OSError, ValueError):
         return False
+    return not keys.isdisjoint(CircuitTraining.model_fields.keys() - TrainingRecipe.model_fields.keys())
 
 
 def make_run(preset: str | Path = "att-snn", **choices: Any) -> CircuitRun:
@@ -148,7 +150,7 @@ def make_run(preset: str | Path = "att-snn", **choices: Any) -> CircuitRun:
     Raises:
         ValueError: One line: an unknown preset or field, or a value out of range.
     """
-    loaded = load_toml(preset, "circuits", CircuitTraining)
+    loaded = load_toml(preset, "presets", CircuitTraining)
     try:
         run = CircuitRun.model_validate(merged(loaded.model_dump(), choices))
         if run.init:
