@@ -137,7 +137,8 @@ def augment(
     if augmentation.saturated_share > 0:
         saturated = rng.random((n, 1, 1)) < augmentation.saturated_share
         for readings, ends in zip(measured, RANGES, strict=True):
-            end = np.exp(rng.uniform(*np.log(ends), (n, 1, 1)))
+            least, most = np.log(ends)
+            end = np.exp(rng.uniform(least, most, (n, 1, 1)))
             np.clip(readings, -end, end, out=readings, where=saturated)
     if augmentation.drop_share > 0:
         share = augmentation.drop_max * rng.random((n, 1)) * (rng.random((n, 1)) < augmentation.drop_share)

@@ -18,7 +18,8 @@ from quadsim.runs.fingerprint import ASSETS
 from ..networks.weights_file import CIRCUIT, END, ordered
 from .parameters import Parameters, expected_shapes
 
-SHIPPED = dict.fromkeys(("att-snn", "att-snn-loihi", "att-rnn"), ASSETS / "weights" / f"att-snn{END}")
+FILE = ASSETS / "weights" / f"att-snn{END}"
+SHIPPED: dict[str, Path] = dict.fromkeys(("att-snn", "att-snn-loihi", "att-rnn"), FILE)
 """Names under which a circuit ships, and its file."""
 
 

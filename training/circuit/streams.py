@@ -51,8 +51,8 @@ class Streams(NamedTuple):
 
     def batch(self, rows: NDArray[np.int64]) -> Batch:
         """Some of them."""
-        parts = (np.ascontiguousarray(each[rows].transpose(1, 2, 0)) for each in self[:3])
-        return Batch(*parts, np.ascontiguousarray(self.bias[rows].T), self.known[rows])
+        angle, force, up = (np.ascontiguousarray(each[rows].transpose(1, 2, 0)) for each in self[:3])
+        return Batch(angle, force, up, np.ascontiguousarray(self.bias[rows].T), self.known[rows])
 
 
 def load_motion(paths: Sequence[str | Path]) -> tuple[list[TrainingFlights], list[TrainingFlights]]:
@@ -87,8 +87,8 @@ def draw_streams(
     blocks = -(-count // BLOCK)
     kinds, fine = rng.random(blocks) < hand_share, rng.random(blocks) < calibrated_share
     calibrated = _calibrated(augmentation)
-    signals = (np.empty((count, steps, 3), np.float32) for _ in range(3))
-    done = Streams(*signals, np.empty((count, 3), np.float32), rng.random(count) < known_share)
+    rooms = [np.empty((count, *shape), np.float32) for shape in ((steps, 3), (steps, 3), (steps, 3), (3,))]
+    done = Streams(rooms[0], rooms[1], rooms[2], rooms[3], rng.random(count) < known_share)
     for k, by_hand in enumerate(kinds):
         part = slice(k * BLOCK, min((k + 1) * BLOCK, count))
         swaying = sway_share if by_hand else 0.0
