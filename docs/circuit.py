@@ -184,6 +184,19 @@ def spikes(data: Path) -> list[str]:
     return [row(*each) for each in measure(config, p, [data / "test.zarr"]).summary()]
 
 
+def by_steps(data: Path) -> list[str]:
+    """The same with fewer steps a sample, which need fewer spikes."""
+    config, p = load_circuit(NAME)
+    rows = []
+    for steps in (4, 2, 1):
+        found = measure(config.model_copy(update={"steps_per_sample": steps}), p, [data / "test.zarr"])
+        per_sample = found.nanojoules * steps
+        rows.append(
+            row(steps, f"{sum(found.spikes.values()):,.0f}", f"{per_sample:.0f}", f"{found.error_deg:.2f}")
+        )
+    return rows
+
+
 def values(page: Page, given: Namespace) -> Parts:
     """Measure everything, and draw."""
     home = load_flights([simulated("train", given.data)], 8)
@@ -205,6 +218,7 @@ def values(page: Page, given: Namespace) -> Parts:
         "table": rows,
         "neurons": neurons(),
         "spikes": spikes(given.data),
+        "steps": by_steps(given.data),
         "worst": worst,
         "worst-cost": f"{costs[worst]:.2f}",
         "median-cost": f"{np.median(list(costs.values())):.2f}",

@@ -107,7 +107,11 @@ def _share(v):
 @njit
 def unbiased(angle, bias):
     """Angles of a sample (3, n) without what the bias adds."""
-    return angle - np.minimum(np.maximum(bias, -BIAS_MAX), BIAS_MAX) * DT
+    found = np.empty_like(angle)
+    for i in range(3):
+        for c in range(angle.shape[1]):
+            found[i, c] = angle[i, c] - min(max(bias[i, c], -BIAS_MAX), BIAS_MAX) * DT
+    return found
 
 
 @njit(inline="always")
@@ -184,9 +188,12 @@ def _innovate(t, force, w, trace):
 @njit
 def _learn(t, w, trace):
     """The gyroscope's bias."""
-    n = trace.bias.shape[2]
+    bias, following = trace.bias[t], trace.bias[t + 1]
+    n = bias.shape[1]
     passed = np.empty((3, n), F)
-    trace.bias[t + 1] = trace.bias[t]
+    for i in range(3):
+        for c in range(n):
+            following[i, c] = bias[i, c]
     for p in range(w.learn.size):
         q = w.pairs[p, 1]
         x, e, opened = trace.x[t, w.pairs[p, 0]], trace.e[t + 1, q], trace.opened[t, q]
@@ -196,8 +203,10 @@ def _learn(t, w, trace):
         for i in range(3):
             j, k = (i + 1) % 3, (i + 2) % 3
             for c in range(n):
-                trace.bias[t + 1, i, c] += w.learn[p] * (x[j, c] * passed[k, c] - x[k, c] * passed[j, c])
-    trace.bias[t + 1] = np.minimum(np.maximum(trace.bias[t + 1], -2 * BIAS_MAX), 2 * BIAS_MAX)
+                following[i, c] += w.learn[p] * (x[j, c] * passed[k, c] - x[k, c] * passed[j, c])
+    for i in range(3):
+        for c in range(n):
+            following[i, c] = min(max(following[i, c], -2 * BIAS_MAX), 2 * BIAS_MAX)
 
 
 class FloatCircuit:
@@ -224,7 +233,8 @@ def _run_states(gyro, accel, set_points, scaling, w, start, onset, states, out):
             states[c, -1] = 1
             for m in range(vectors):
                 states[c, MISSING + 3 + 3 * m] = start[m]
-            states[c, -1 - gates : -1] = onset
+            for q in range(gates):
+                states[c, q - 1 - gates] = onset[q]
     for first in range(0, samples, CHUNK):
         steps = min(CHUNK, samples - first)
         angle, force = np.empty((steps, 3, n), F), np.empty((steps, 3, n), F)
@@ -253,8 +263,10 @@ def _run_states(gyro, accel, set_points, scaling, w, start, onset, states, out):
                 trace.bias[0, i, c] = kept[of_bias + i]
             for k in range(3 * gates):
                 trace.e[0, k // 3, k % 3, c] = kept[of_e + k]
-            senses.smooth[:, c] = kept[felt : felt + 9]
-            senses.u[:, c] = kept[felt + 9 : felt + 9 + gates]
+            for k in range(9):
+                senses.smooth[k, c] = kept[felt + k]
+            for q in range(gates):
+                senses.u[q, c] = kept[felt + 9 + q]
         run_floats(angle, force, w, trace, senses)
         for c in range(n):
             kept = states[c]
@@ -264,8 +276,10 @@ def _run_states(gyro, accel, set_points, scaling, w, start, onset, states, out):
                 kept[of_bias + i] = trace.bias[steps, i, c]
             for k in range(3 * gates):
                 kept[of_e + k] = trace.e[steps, k // 3, k % 3, c]
-            kept[felt : felt + 9] = senses.smooth[:, c]
-            kept[felt + 9 : felt + 9 + gates] = senses.u[:, c]
+            for k in range(9):
+                kept[felt + k] = senses.smooth[k, c]
+            for q in range(gates):
+                kept[felt + 9 + q] = senses.u[q, c]
             for t in range(steps):
                 for i in range(3):
                     out[c, 3 * (first + t) + i] = trace.x[t + 1, OUTPUT, i, c] - (i == 2)

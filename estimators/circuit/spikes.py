@@ -177,8 +177,10 @@ def run_circuit(
         row = states[copy]
         state = state_of(row, start.size, gate.shape[0])
         if state.ring[0] == 0:
-            state.x[:, 2] = start
-            state.gate[:] = levels[1]
+            for m in range(start.size):
+                state.x[m, 2] = start[m]
+            for q in range(gate.shape[0]):
+                state.gate[q] = levels[1, q]
         for t in range(gyro.shape[1] // 3):
             encode_sample(gyro[copy, 3 * t : 3 * t + 3], accel[copy, 3 * t : 3 * t + 3], scaling, row)
             for _ in range(steps):
