@@ -14,8 +14,6 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from pages import Page, Parts, row
 
-from estimators.networks.network import silenced
-from estimators.networks.weights_file import load_network, save_network
 from estimators.registry import NETWORKS
 from quadsim.control.gains import design, loop_margins
 from quadsim.runs.console import progress_bar
@@ -34,6 +32,7 @@ SUITE, BREAKING = load_experiment("suite"), load_experiment("breaking-points")
 LONG = ("hover", "figure-8", "dryden-moderate", "wind-8")
 LONG_S = 100.0
 LONG_NAMES = (TRUTH, "att-snn-loihi", "att-rnn", "ekf-drag", "eskf", "mahony", "vqf")
+LEVEL = f"{Path(__file__).with_name('level.py')}:Level"
 SHOWN_SWEEPS = ("constant wind", "step of the gyro bias", "lost samples")
 DELAYS_MS = (0, 5, 15, 30, 60, 100)
 
@@ -82,12 +81,11 @@ def heat_map(results: Results, names: Sequence[str]) -> Figure:
     return figure
 
 
-def standing_rows(judged: Verdict, without: Results, files: Mapping[str, str]) -> list[str]:
-    """The table of the verdict, with error and crashes of each network silenced."""
-    silent, rows = totals_of(without.rows), []
+def standing_rows(judged: Verdict, silenced: Results) -> list[str]:
+    """The table of the verdict, with error and crashes of a silenced network beside each network."""
+    (silent,), rows = totals_of(silenced.rows).values(), []
     for name, _, texts in judged.standings:
-        own = silent.get(files.get(name, ""))
-        text = f"{shown(own.means['error_deg'])}, ✕ {own.crashes}" if own else "–"
+        text = f"{shown(silent.means['error_deg'])}, ✕ {silent.crashes}" if name in NETWORKS else "–"
         columns = [texts[key] for key in ("crashed", "error [°]", "behind the best [°]", "tracking [°]")]
         rows.append(row(name, *columns[:2], text, *columns[2:]))
     return rows
@@ -101,9 +99,8 @@ def breaking_rows(results: Results) -> list[str]:
     ]
 
 
-def long_rows(results: Results, files: Mapping[str, str]) -> list[str]:
-    """Crashes and attitude tracking over that of the truth, in the long flights; silenced networks last."""
-    titles = {path: f"*{name}, silenced*" for name, path in files.items()}
+def long_rows(results: Results) -> list[str]:
+    """Crashes and attitude tracking over that of the truth, in the long flights; a silenced network last."""
     rows = {(cell.estimator, cell.scenario): cell for cell in results.rows}
 
     def entry(name: str, scenario: str) -> str:
@@ -116,7 +113,10 @@ def long_rows(results: Results, files: Mapping[str, str]) -> list[str]:
         ratios = cell.attitude_deg / truth.attitude_deg, cell.position_m / truth.position_m
         return f"{ratios[0]:.2f} ({shown(cell.error_deg)}, {ratios[1]:.2f}){crashes}"
 
-    return [row(titles.get(name, name), *(entry(name, each) for each in LONG)) for name in results.estimators]
+    return [
+        row("*a silenced network*" if name == LEVEL else name, *(entry(name, each) for each in LONG))
+        for name in results.estimators
+    ]
 
 
 def loop_parts() -> tuple[list[str], list[str]]:
@@ -141,26 +141,12 @@ def loop_parts() -> tuple[list[str], list[str]]:
     ]
 
 
-def silenced_files() -> dict[str, str]:
-    """Each network of the suite to a file of its weights with output weights of zero."""
-    OUT.mkdir(parents=True, exist_ok=True)
-    found = {}
-    for name in NETWORKS:
-        weights = name.removesuffix("-loihi")
-        config, tensors = load_network(weights)
-        path = OUT / f"{weights}-silenced.safetensors"
-        save_network(path, config, silenced(config, tensors))
-        found[name] = str(path)
-    return found
-
-
 def values(page: Page, given: Namespace) -> Parts:
     """Measure everything, and draw."""
-    names, files = default_estimators(), silenced_files()
+    names = default_estimators()
     results = fly("suite", SUITE, names)
-    without = fly("silenced", SUITE, sorted(set(files.values())))
-    long_names = (*LONG_NAMES, *dict.fromkeys(files[name] for name in LONG_NAMES if name in files))
-    long = fly("long", SUITE, long_names, LONG, changes={"duration_s": LONG_S})
+    silenced = fly("silenced", SUITE, [LEVEL])
+    long = fly("long", SUITE, (*LONG_NAMES, LEVEL), LONG, changes={"duration_s": LONG_S})
     breaking = fly("breaking", BREAKING, names, seeds=BREAKING.seeds)
     publish(OUT / "suite", results)
     judged, (loop, price) = verdict(results), loop_parts()
@@ -174,9 +160,9 @@ def values(page: Page, given: Namespace) -> Parts:
         "seeds": str(SEEDS),
         "breaking_seeds": str(BREAKING.seeds),
         "long_s": f"{LONG_S:g}",
-        "standings": standing_rows(judged, without, files),
+        "standings": standing_rows(judged, silenced),
         "breaking": breaking_rows(breaking),
-        "long": long_rows(long, files),
+        "long": long_rows(long),
         "loop": loop,
         "price": price,
     }
