@@ -19,11 +19,12 @@ from estimators.circuit.estimator import SCALING, Level, circuit_estimator
 from estimators.circuit.file import load_circuit
 from estimators.circuit.floats import new_trace, run_floats, stepped
 from estimators.circuit.parameters import GRAVITY, OUTPUT, RATE_HZ, Parameters, quantised, untrained
-from estimators.circuit.spikes import SpikingCircuit
+from estimators.circuit.spikes import ANGLE_DIGITS, SpikingCircuit, no_spikes, state_of, step
 from estimators.evaluation.flights import Flights, load_flights
 from estimators.evaluation.logs import RAW
 from estimators.metrics import attitude_error
-from estimators.networks.network import NetworkEstimator
+from estimators.networks.encoder import encode_sample
+from estimators.networks.network import NetworkEstimator, zero_states
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
 from quadsim.estimator import AttitudeEstimator
@@ -48,6 +49,8 @@ SETS = {
 SCALE = (1.33, 1.21, 0.56, 1.23)
 """Lengths of the untrained circuit's vectors, as `training.circuit.loop.scaled` finds them."""
 RESAMPLES = 4000
+SHOWN = 8
+"""Neurons of a kind in the raster, those that spike most."""
 
 
 def spiking(p: Parameters, steps: int = 4) -> NetworkEstimator:
@@ -128,40 +131,82 @@ def interval(errors: Array) -> str:
     return "–".join(f"{each:.2f}" for each in np.quantile(means, (0.025, 0.975)))
 
 
-def turn(page: Page) -> None:
-    """Draw the spikes of a turn: the gyroscope's, a vector's and the estimate."""
+def digits(n: int) -> Array:
+    """Balanced ternary digits of a number of quanta, least first."""
+    found = []
+    for _ in range(ANGLE_DIGITS):
+        found.append((n + 1) % 3 - 1)
+        n = (n - found[-1]) // 3
+    return np.array(found)
+
+
+def turned() -> tuple[Array, Array, Array, dict[str, Array]]:
+    """The circuit in a turn of 90° about the roll axis, after two seconds at rest.
+
+    Returns:
+        Time of the steps [s], rate [rad/s], and true and estimated roll (steps, 2) [rad]; and the signed
+        spikes in every step: of the gyroscope's digits, of the estimate's vector, of innovations, of gates.
+    """
     config, p = load_circuit(NAME)
-    t = np.arange(400) / RATE_HZ
-    rate = np.where((t > 0.5) & (t < 1.0), np.pi, 0.0)
-    roll = np.cumsum(rate) / RATE_HZ
-    gyro = np.stack([rate, 0 * t, 0 * t], 1)[None]
-    accel = GRAVITY * np.stack([0 * t, np.sin(roll), np.cos(roll)], 1)[None]
     steps = config.steps_per_sample
-    core = SpikingCircuit(SCALING, quantised(p, steps), OUTPUT, steps, p.scale[OUTPUT])
-    est = NetworkEstimator(core, RATE_HZ)
-    for _ in range(400):
-        est.update(np.zeros((1, 3)), GRAVITY * np.array([[0.0, 0.0, 1.0]]))
-    before, states = est.states[0].copy(), []
-    for k in range(400):
-        est.update(gyro[:, k], accel[:, k])
-        states.append(est.states[0].copy())
-    x = np.array([state["x"].reshape(-1, 3)[OUTPUT] for state in states]) * p.scale[OUTPUT] / 2**20
-    counts = np.diff([before["events"], *(state["events"] for state in states)], axis=0)
-    figure = Figure(figsize=(8, 5.5), layout="constrained")
-    top, middle, bottom = figure.subplots(3, 1, sharex=True)
+    circuit = quantised(p, steps)
+    core = SpikingCircuit(SCALING, circuit, OUTPUT, steps, p.scale[OUTPUT])
+    numbers = zero_states(core, 1)[0]
+    state = state_of(numbers, len(circuit.start), len(circuit.gate))
+    state.x[:, 2], state.gate[:] = circuit.start, circuit.levels[1]
+    spikes = no_spikes(len(circuit.start), len(circuit.gate))
+    t = np.arange(-2.0, 1.5, 1 / RATE_HZ)
+    rate = np.where((t > 0.25) & (t < 0.75), np.pi, 0.0)
+    roll = np.cumsum(rate) / RATE_HZ
+    shown: dict[str, list[Array]] = {name: [] for name in ("gyroscope", "vector", "innovations", "gates")}
+    estimated = []
+    for k in range(len(t)):
+        accel = GRAVITY * np.array([0.0, np.sin(roll[k]), np.cos(roll[k])])
+        encode_sample(np.array([rate[k], 0.0, 0.0]), accel, SCALING, numbers)
+        for _ in range(steps):
+            step(numbers, state, circuit, steps, spikes)
+            shown["gyroscope"].append(digits(int(spikes.angle[0])))
+            shown["vector"].append(spikes.vectors[OUTPUT].copy())
+            shown["innovations"].append(state.passed.ravel().copy())
+            shown["gates"].append(spikes.gates.copy())
+            estimated.append(np.arctan2(state.x[OUTPUT, 1], state.x[OUTPUT, 2]))
+    fine = t[0] + np.arange(len(estimated)) / (steps * RATE_HZ)
+    both = np.stack([np.repeat(roll, steps), estimated], 1)
+    return fine, np.repeat(rate, steps), both, {name: np.array(each) for name, each in shown.items()}
+
+
+def turn(page: Page) -> None:
+    """Draw the spikes of a turn, one by one."""
+    t, rate, roll, spikes = turned()
+    figure = Figure(figsize=(9, 7), layout="constrained")
+    top, middle, bottom = figure.subplots(3, 1, sharex=True, height_ratios=(1, 5, 1.6))
     top.plot(t, np.degrees(rate))
-    top.set_ylabel("roll rate [°/s]")
-    for kind, number in (("gyroscope", 0), ("vectors", 1), ("coincidences", 2), ("innovations", 3)):
-        middle.plot(t, counts[:, number], lw=0.8, label=kind)
-    middle.set_ylabel("spikes a sample")
-    middle.set_ylim(0, 130)
-    middle.legend(ncols=4, frameon=False, loc="upper left")
-    bottom.plot(t, np.degrees(np.arctan2(x[:, 1], x[:, 2])), label="estimated")
-    bottom.plot(t, np.degrees(roll), "--", label="true")
-    bottom.set_ylabel("roll [°]")
-    bottom.set_xlabel("time [s]")
-    bottom.legend(frameon=False)
-    page.save(figure, "circuit-turn.png", dpi=110)
+    top.set_ylabel("roll rate\n[°/s]")
+    labels = {
+        "gyroscope": [f"roll rate × {3**k}" for k in range(ANGLE_DIGITS)],
+        "vector": [f"up, {axis}" for axis in "xyz"],
+        "innovations": [
+            f"innovation {k // 3}, {'xyz'[k % 3]}" for k in range(spikes["innovations"].shape[1])
+        ],
+        "gates": [f"gate {k}" for k in range(spikes["gates"].shape[1])],
+    }
+    line, ticks = 0, {}
+    for name, each in spikes.items():
+        busiest = np.argsort(-np.abs(each[t > 0]).sum(0))[:SHOWN]
+        for k in sorted(busiest):
+            for sign, colour in ((1, "#0072b2"), (-1, "#d55e00")):
+                when = t[each[:, k] == sign]
+                middle.plot(when, np.full(when.size, line), "|", ms=5, mew=0.6, color=colour)
+            ticks[line] = labels[name][k]
+            line += 1
+        line += 1
+    middle.set_yticks(list(ticks), list(ticks.values()), fontsize=7)
+    middle.invert_yaxis()
+    bottom.plot(t, np.degrees(roll[:, 1]), label="estimated")
+    bottom.plot(t, np.degrees(roll[:, 0]), "--", label="true")
+    bottom.set(ylabel="roll [°]", xlabel="time [s]", xlim=(0, 1.2), ylim=(-15, 110))
+    bottom.legend(frameon=False, loc="upper left")
+    page.save(figure, "circuit-turn.png", dpi=120)
 
 
 def neurons() -> list[str]:

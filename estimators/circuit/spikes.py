@@ -112,6 +112,28 @@ class State(NamedTuple):
     events: Int32s  #: spikes since the start, as `EVENTS` (9,)
 
 
+class Spikes(NamedTuple):
+    """Spikes of one step."""
+
+    vectors: Int32s  #: s (V, 3)
+    angle: Int32s  #: n_ω (3,)
+    force: Int32s  #: n_a (3,)
+    heard: Int32s  #: ρ (5,)
+    gates: Int32s  #: γ (Q,)
+
+
+@njit
+def no_spikes(vectors, gates):
+    """Room for the spikes of a step."""
+    return Spikes(
+        np.zeros((vectors, 3), np.int32),
+        np.zeros(3, np.int32),
+        np.zeros(3, np.int32),
+        np.zeros(5, np.int32),
+        np.zeros(gates, np.int32),
+    )
+
+
 @njit(inline="always")
 def state_of(row, vectors, gates):
     """`State` of a row of numbers, which begins with the encoder's."""
@@ -171,8 +193,7 @@ def run_circuit(
     circuit = Circuit(mix, pull, give, take, read, gate, levels, sense, learn, start)
     scaling = Scaling(settings[:6], settings[6:12])
     steps, output, unit = int(settings[12]), int(settings[13]), settings[14]
-    s, n_w, n_a = np.zeros((start.size, 3), np.int32), np.zeros(3, np.int32), np.zeros(3, np.int32)
-    heard, opened = np.zeros(gate.shape[1], np.int32), np.zeros(gate.shape[0], np.int32)
+    spikes = no_spikes(start.size, gate.shape[0])
     for copy in range(states.shape[0]):
         row = states[copy]
         state = state_of(row, start.size, gate.shape[0])
@@ -184,18 +205,25 @@ def run_circuit(
         for t in range(gyro.shape[1] // 3):
             encode_sample(gyro[copy, 3 * t : 3 * t + 3], accel[copy, 3 * t : 3 * t + 3], scaling, row)
             for _ in range(steps):
-                state.ring[0] = state.ring[0] % RING.size + 1
-                threshold = RING[state.ring[0] - 1]
-                _encode(row, state, n_w, n_a)
-                _fire(state, s)
-                _listen(state, circuit, threshold, opened)
-                _feel(state, sense, threshold, n_w, n_a, s, heard)
-                _hear(state, circuit, heard)
-                _advance(state, circuit, s, n_a)
-                _turn(state, n_w, s, steps)
-                _innovate(state, circuit, opened, s, n_a)
+                step(row, state, circuit, steps, spikes)
             for i in range(3):
                 out[copy, 3 * t + i] = state.x[output, i] * unit - (i == 2)
+
+
+@njit
+def step(row, state, circuit, steps, spikes):
+    """One step of a copy, of so many a sample, from its last readings; `spikes` is written."""
+    s, n_w, n_a, heard, opened = spikes
+    state.ring[0] = state.ring[0] % RING.size + 1
+    threshold = RING[state.ring[0] - 1]
+    _encode(row, state, n_w, n_a)
+    _fire(state, s)
+    _listen(state, circuit, threshold, opened)
+    _feel(state, circuit.sense, threshold, n_w, n_a, s, heard)
+    _hear(state, circuit, heard)
+    _advance(state, circuit, s, n_a)
+    _turn(state, n_w, s, steps)
+    _innovate(state, circuit, opened, s, n_a)
 
 
 @njit(inline="always")
