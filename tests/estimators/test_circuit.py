@@ -413,6 +413,7 @@ def plain_floats(p: Parameters, gyro, accel):
     axes = [0, 0, 1]
     x, b, u, smooth = np.zeros((v, 3)), np.zeros(3), p.onset.copy(), np.zeros((3, 3))
     x[:, 2] = p.start
+    e, most = np.zeros((len(p.level), 3)), np.radians(5.595)
     outputs = []
     for rate, force in zip(gyro, accel / GRAVITY, strict=True):
         target = np.array([force - [0, 0, 1], rate / 4, force - x[0]])
@@ -421,21 +422,25 @@ def plain_floats(p: Parameters, gyro, accel):
         z = np.array([felt[0, :2].sum(), felt[0, 2], felt[1, :2].sum(), felt[1, 2], felt[2].sum()])
         u += dt / p.tau * (p.gate @ z - u)
         r = np.clip(u + p.level, 0, 1)
-        e = np.stack([p.take[:, k] @ x[:, i] + p.read[:, k] * force[i] for i, k in enumerate(axes)], 1)
+        raw = np.stack([p.take[:, k] @ x[:, i] + p.read[:, k] * force[i] for i, k in enumerate(axes)], 1)
+        e += (1 - np.exp(-dt / 0.025)) * (raw - e)
         d = np.clip(r[:, None] * np.clip(e, -2, 2), -1, 1)
-        angle = (rate - b) * dt
+        angle = (rate - np.clip(b, -most, most)) * dt
         cross = np.cross(angle, x)
         change = -cross + np.cross(angle, cross) / 2
         for i, k in enumerate(axes):
             change[:, i] += dt * (p.mix[k] @ x[:, i] + p.pull[k] * force[i] + p.give[:, k].T @ d[:, i])
         b = b + dt * sum(kappa * np.cross(x[m], d[q]) for kappa, (m, q) in zip(p.learn, p.pairs, strict=True))
+        b = np.clip(b, -2 * most, 2 * most)
         x = x + change
-        outputs.append(x[1].copy())
+        outputs.append([*x[1], *b])
     return np.array(outputs)
 
 
-def test_floats_are_the_equations():
+@pytest.mark.parametrize("faster", [1, 300])
+def test_floats_are_the_equations(faster):
     p = untrained(5, 11, seed=2, spread=3.0)
+    p = p._replace(learn=faster * p.learn)
     gyro, accel = random_readings(2, 300, 3)
     trace, senses = new_trace(p, 300, 2)
     angle, force = (
@@ -443,5 +448,7 @@ def test_floats_are_the_equations():
         for each in (gyro / RATE_HZ, accel / GRAVITY)
     )
     run_floats(angle, force, stepped(p), trace, senses)
+    found = np.concatenate([trace.x[1:, 1], trace.bias[1:]], 1)
     for n in range(2):
-        np.testing.assert_allclose(trace.x[1:, 1, :, n], plain_floats(p, gyro[n], accel[n]), atol=2e-4)
+        np.testing.assert_allclose(found[:, :, n], plain_floats(p, gyro[n], accel[n]), atol=2e-4)
+    assert (np.abs(trace.bias).max() > np.radians(11.1)) == (faster == 300)
