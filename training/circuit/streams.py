@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -77,7 +77,6 @@ def draw_streams(
     known_share: float,
     augmentation: Augmentation,
     rng: np.random.Generator,
-    progress: Callable[[int, int], None] | None = None,
 ) -> Streams:
     """Draw streams of T = `steps` samples, each with sensor errors of its own.
 
@@ -99,8 +98,6 @@ def draw_streams(
         done.force[part] = held(accel) / GRAVITY
         done.up[part] = up
         done.bias[part] = bias_of(done.angle[part] * rate_hz, up, rate_hz)
-        if progress:
-            progress(part.stop, count)
     return done
 
 
