@@ -25,7 +25,7 @@ from quadsim.flight.scenario import Scenario
 from quadsim.held_out import HeldOut
 from quadsim.imu.spec import ImuSpec
 from quadsim.vehicle import Vehicle
-from training.circuit.loop import CircuitTraining
+from training.circuit.config import CircuitTraining
 from training.config import Preset
 
 ROOT = Path(__file__).parents[1]

@@ -84,7 +84,7 @@ def train(
         choices["epochs"] = epochs
     if validation:
         choices["validation"] = tuple(map(str, validation))
-    from training.circuit.loop import is_recipe
+    from training.circuit.config import is_recipe
 
     if is_recipe(preset):
         layered = {"--model": model != "att-snn", "--folds": folds, "--epochs": epochs}
@@ -125,7 +125,8 @@ def _train_network(out: Path, data: list[Path], model: str, preset: str, choices
 
 
 def _train_circuit(out: Path, data: list[Path], preset: str, choices: dict[str, Any]) -> None:
-    from training.circuit.loop import CircuitRun, Row, make_run, train_circuit
+    from training.circuit.config import CircuitRun, make_run
+    from training.circuit.loop import Row, train_circuit
 
     run = make_run(preset, data=tuple(map(str, data)), **choices)
     with progress_bar(f"train {preset}", "updates") as bar:

@@ -7,9 +7,9 @@ from estimators.circuit.file import load_circuit
 from estimators.circuit.parameters import LEARNT, untrained
 from quadsim.dataset import generate
 from quadsim.flight.recipe import load_recipe
-from training.augment import Augmentation
+from training.circuit.config import make_run
 from training.circuit.gradient import loss_and_gradient
-from training.circuit.loop import make_run, train_circuit
+from training.circuit.loop import train_circuit
 from training.circuit.streams import Batch, bias_of, draw_streams, held, load_motion, sway
 
 
@@ -73,6 +73,12 @@ def test_a_stopped_run_ends_as_one_that_was_not(tmp_path, data):
     config, p = load_circuit(whole)
     assert config.training["training_flights"] == 6
     assert np.abs(p.mix - untrained(4, 8, 3, 1.0).mix).max() > 1e-3
+    little = {"updates": 1, "streams": 8, "batch_size": 2, "window_s": 0.1, "learning_rate": 1e-6}
+    tuned = make_run("tune", data=data, validation=data[:1], init=str(whole), **little)
+    assert (tuned.vectors, tuned.gates) == (4, 8)
+    after = train_circuit(tuned, tmp_path / "on")
+    assert after.before == errors
+    assert after.errors == pytest.approx(errors, abs=0.1)
 
 
 def test_a_run_says_what_is_wrong(data, tmp_path):
@@ -88,17 +94,14 @@ def test_a_run_says_what_is_wrong(data, tmp_path):
 def test_streams_are_readings_and_their_up(data):
     flights, hands = load_motion(data)
     assert (len(flights), len(hands)) == (1, 1)
-    streams = draw_streams(
-        flights, hands, 70, 400, 0.5, 0.7, 0.5, 0.5, Augmentation(), np.random.default_rng(0)
-    )
+    recipe = CircuitTraining(streams=70, hand_share=0.5, known_share=0.5)
+    streams = draw_streams(flights, hands, recipe, 400, np.random.default_rng(0))
     for each in streams[:3]:
         assert each.shape == (70, 400, 3)
         assert np.isfinite(each).all()
     assert 20 < streams.known.sum() < 50
     np.testing.assert_allclose(np.linalg.norm(streams.up, axis=2), 1, atol=1e-5)
-    again = draw_streams(
-        flights, hands, 70, 400, 0.5, 0.7, 0.5, 0.5, Augmentation(), np.random.default_rng(0)
-    )
+    again = draw_streams(flights, hands, recipe, 400, np.random.default_rng(0))
     np.testing.assert_array_equal(streams.force, again.force)
 
 

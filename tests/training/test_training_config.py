@@ -2,7 +2,7 @@ import pytest
 
 from quadsim.cli.options import fields_of
 from quadsim.config.toml import load_toml, preset_names
-from training.circuit.loop import is_recipe
+from training.circuit.config import is_recipe
 from training.config import Preset, TrainConfig, make_config
 
 

@@ -9,39 +9,32 @@ from __future__ import annotations
 import io
 import json
 import time
-import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import NamedTuple
 
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
 from estimators.circuit.estimator import circuit_estimator
 from estimators.circuit.file import CircuitConfig, load_circuit, save_circuit
 from estimators.circuit.floats import run_floats, stepped
 from estimators.circuit.parameters import LEARNT, OUTPUT, RATE_HZ, Parameters, untrained
 from estimators.metrics import absolute_error
-from quadsim.config.ranges import Between, Share
-from quadsim.config.toml import Strict, describe, load_toml, merged, preset_names, shipped_folder
 from quadsim.dataset.figures import STYLE
-from quadsim.held_out import unreserved
 from quadsim.runs.files import alone, drop_parts, save_figure, write_csv, write_whole
 from quadsim.runs.fingerprint import code_digest
 from quadsim.runs.record import commit
 
-from ..augment import Augmentation
-from ..config import TrainingRecipe
 from ..data import load_training_flights
+from .config import CircuitRun
 from .gradient import begin, loss_and_gradient
 from .streams import Streams, draw_streams, load_motion
 
 Array = NDArray[np.float64]
-Number = Annotated[int, Between(1, 10_000_000)]
 STEP = {"take": 0.5, "read": 0.5, "learn": 0.1, "gate": 0.5, "level": 0.5, "onset": 0.5}
 """Factors of the learning rate; others 1."""
 WARM_UP, BETA1, BETA2, SLOW = 20, 0.9, 0.99, 0.98
@@ -52,49 +45,6 @@ DIVERGED = 50.0
 RANGE_QUANTILE, RANGE = 0.999, 0.9
 """The scale of a vector: this quantile of its components spikes in so many of the steps."""
 NOISE = 1.0
-
-
-class CircuitTraining(Strict):
-    """How a circuit is trained; the recipe that ships is `assets/presets/att-snn.toml`."""
-
-    vectors: Annotated[int, Between(4, 64)] = 6
-    """Vectors that turn."""
-    gates: Annotated[int, Between(8, 256)] = 16
-    """Gated innovations."""
-    streams: Number = 2560
-    """Streams that are drawn once, each with sensor errors of its own."""
-    window_s: Annotated[float, Between(0.1, 600.0, "s")] = 20.0
-    """Length of a stream, over which the gradient is exact [s]."""
-    hand_share: Share = 0.4
-    """Share of the streams that move in the hand, where there are both."""
-    sway_share: Share = 0.7
-    """Share of the streams in the hand to which translation is added."""
-    calibrated_share: Share = 0.5
-    """Share of the streams whose biases, scales and mounting are a tenth of those of the augmentation."""
-    known_share: Share = 0.6
-    """Share of the streams that begin with attitude and bias known, as the later parts of a flight do."""
-    updates: Number = 13000
-    """Updates of the weights."""
-    batch_size: Annotated[int, Between(1, 1024)] = 32
-    """Streams in an update."""
-    learning_rate: Annotated[float, Between(1e-6, 1.0)] = 0.02
-    """Of Adam, at its highest."""
-    augmentation: Augmentation = Augmentation()
-    """Sensor errors."""
-    init: str = ""
-    """Circuit to continue from, in place of the equation: a file or a shipped name; it has the vectors and
-    the gates."""
-
-
-class CircuitRun(CircuitTraining):
-    """A training run: a recipe, its data and its seed."""
-
-    data: tuple[str, ...]
-    """Datasets to train on."""
-    validation: tuple[str, ...] = ()
-    """Datasets to report the error on; they choose nothing."""
-    seed: Annotated[int, Between(0, 2**63 - 1)] = 0
-    """Of the first weights, the streams and their order."""
 
 
 @dataclass(frozen=True)
@@ -133,37 +83,6 @@ class Trained(NamedTuple):
     """The same of the circuit that the run continued."""
 
 
-def is_recipe(preset: str | Path) -> bool:
-    """Whether a preset, one that ships or a TOML file, has keys that only circuits have."""
-    shipped = str(preset) in preset_names("presets")
-    file = shipped_folder("presets") / f"{preset}.toml" if shipped else Path(preset)
-    try:
-        keys = tomllib.loads(file.read_text("utf-8")).keys()
-    except (OSError, ValueError):
-        return False
-    return not keys.isdisjoint(CircuitTraining.model_fields.keys() - TrainingRecipe.model_fields.keys())
-
-
-def make_run(preset: str | Path = "att-snn", **choices: Any) -> CircuitRun:
-    """A configuration from a preset and what differs from it.
-
-    Raises:
-        ValueError: One line: an unknown preset or field, or a value out of range.
-    """
-    loaded = load_toml(preset, "presets", CircuitTraining)
-    try:
-        run = CircuitRun.model_validate(merged(loaded.model_dump(), choices))
-        if run.init:
-            sizes = {name: getattr(load_circuit(run.init).config, name) for name in ("vectors", "gates")}
-            run = run.model_copy(update=sizes)
-    except ValidationError as error:
-        raise ValueError(f"training: {describe(error, CircuitRun)}") from error
-    unreserved(run.seed)
-    if not run.data:
-        raise ValueError("data: at least one dataset to train on is required, as quadsim generate makes it")
-    return run
-
-
 def train_circuit(run: CircuitRun, out: Path, progress: Progress | None = None) -> Trained:
     """Train a circuit, or continue a run that was stopped.
 
@@ -177,18 +96,7 @@ def train_circuit(run: CircuitRun, out: Path, progress: Progress | None = None) 
         steps = _steps_of(run, [*flights, *hands])
         _claim(run, out)
         rng = np.random.default_rng([run.seed, 0])
-        streams = draw_streams(
-            flights,
-            hands,
-            run.streams,
-            steps,
-            run.hand_share,
-            run.sway_share,
-            run.calibrated_share,
-            run.known_share,
-            run.augmentation,
-            rng,
-        )
+        streams = draw_streams(flights, hands, run, steps, rng)
         sizes = {"training_flights": sum(map(len, flights)) + sum(map(len, hands))}
         vehicles = sorted({vehicle for each in flights for vehicle in each.vehicles})
         del flights, hands

@@ -16,6 +16,7 @@ from quadsim.runs.compiled import njit
 
 from ..augment import Augmentation, augment
 from ..data import SIGNALS, TrainingFlights, load_training_flights
+from .config import CircuitTraining
 
 Floats = NDArray[np.float32]
 BLOCK = 32
@@ -69,31 +70,26 @@ def load_motion(paths: Sequence[str | Path]) -> tuple[list[TrainingFlights], lis
 def draw_streams(
     flights: Sequence[TrainingFlights],
     hands: Sequence[TrainingFlights],
-    count: int,
+    recipe: CircuitTraining,
     steps: int,
-    hand_share: float,
-    sway_share: float,
-    calibrated_share: float,
-    known_share: float,
-    augmentation: Augmentation,
     rng: np.random.Generator,
 ) -> Streams:
     """Draw streams of T = `steps` samples, each with sensor errors of its own.
 
     Where there is only one kind of motion, all streams are of that kind.
     """
-    hand_share = hand_share if flights and hands else float(not flights)
-    blocks = -(-count // BLOCK)
-    kinds, fine = rng.random(blocks) < hand_share, rng.random(blocks) < calibrated_share
-    calibrated = _calibrated(augmentation)
+    hand_share = recipe.hand_share if flights and hands else float(not flights)
+    count, blocks = recipe.streams, -(-recipe.streams // BLOCK)
+    kinds, fine = rng.random(blocks) < hand_share, rng.random(blocks) < recipe.calibrated_share
+    calibrated = _calibrated(recipe.augmentation)
     rooms = [np.empty((count, *shape), np.float32) for shape in ((steps, 3), (steps, 3), (steps, 3), (3,))]
-    done = Streams(rooms[0], rooms[1], rooms[2], rooms[3], rng.random(count) < known_share)
+    done = Streams(rooms[0], rooms[1], rooms[2], rooms[3], rng.random(count) < recipe.known_share)
     for k, by_hand in enumerate(kinds):
         part = slice(k * BLOCK, min((k + 1) * BLOCK, count))
-        swaying = sway_share if by_hand else 0.0
+        swaying = recipe.sway_share if by_hand else 0.0
         readings = _block(hands if by_hand else flights, part.stop - part.start, steps, swaying, rng)
         rate_hz = (hands if by_hand else flights)[0].rate_hz
-        gyro, accel, up = augment(*readings, calibrated if fine[k] else augmentation, rate_hz, rng)
+        gyro, accel, up = augment(*readings, calibrated if fine[k] else recipe.augmentation, rate_hz, rng)
         done.angle[part] = held(gyro) / rate_hz
         done.force[part] = held(accel) / GRAVITY
         done.up[part] = up
