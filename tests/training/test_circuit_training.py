@@ -7,7 +7,7 @@ from estimators.circuit.file import load_circuit
 from estimators.circuit.parameters import LEARNT, untrained
 from quadsim.dataset import generate
 from quadsim.flight.recipe import load_recipe
-from training.circuit.config import make_run
+from training.circuit.config import CircuitTraining, make_run
 from training.circuit.gradient import loss_and_gradient
 from training.circuit.loop import train_circuit
 from training.circuit.streams import Batch, bias_of, draw_streams, held, load_motion, sway
