@@ -86,7 +86,7 @@ def test_a_run_says_what_is_wrong(data, tmp_path):
         make_run(data=())
     with pytest.raises(ValueError, match="gates"):
         make_run(data=data, gates=2)
-    with pytest.raises(ValueError, match="window_s: 20, but the shortest flight has 6 s"):
+    with pytest.raises(ValueError, match="window_s: 40, but the shortest flight has 6 s"):
         train_circuit(make_run(data=data), tmp_path)
     assert not list(tmp_path.iterdir())  # the folder is free for a run that is right
 

@@ -26,9 +26,9 @@ class CircuitTraining(Strict):
     """Vectors that turn."""
     gates: Annotated[int, Between(8, 256)] = 16
     """Gated innovations."""
-    streams: Number = 2560
+    streams: Number = 1536
     """Streams that are drawn once, each with sensor errors of its own."""
-    window_s: Annotated[float, Between(0.1, 600.0, "s")] = 20.0
+    window_s: Annotated[float, Between(0.1, 600.0, "s")] = 40.0
     """Length of a stream, over which the gradient is exact [s]."""
     hand_share: Share = 0.4
     """Share of the streams that move in the hand, where there are both."""
@@ -38,9 +38,9 @@ class CircuitTraining(Strict):
     """Share of the streams whose biases, scales and mounting are a tenth of those of the augmentation."""
     known_share: Share = 0.6
     """Share of the streams that begin with attitude and bias known, as the later parts of a flight do."""
-    updates: Number = 13000
+    updates: Number = 9000
     """Updates of the weights."""
-    batch_size: Annotated[int, Between(1, 1024)] = 32
+    batch_size: Annotated[int, Between(1, 1024)] = 16
     """Streams in an update."""
     learning_rate: Annotated[float, Between(1e-6, 1.0)] = 0.02
     """Of Adam, at its highest."""
