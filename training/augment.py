@@ -21,6 +21,8 @@ Array = NDArray[np.floating]
 
 VIBRATION_HZ = (60.0, 250.0)
 """Range of the frequency of a rotor, which the sampling folds."""
+BURST = 60.0
+"""Largest of a gyroscope's false rates [rad/s]."""
 RANGES = (1.0, 35.0), (12.0, 160.0)
 """Least and largest range of a gyroscope [rad/s] and of an accelerometer [m/s²] that saturate."""
 WANDER_HZ = 3.0
@@ -74,6 +76,8 @@ class Augmentation(Strict):
     """Largest share of a stream's samples that it loses, each by itself."""
     gap_max_s: Annotated[float, Between(0.0, 10.0, "s")] = 0.0
     """Longest time without samples in such a stream, once [s]."""
+    burst_share: Share = 0.0
+    """Share of the streams with one to ten false rates in a row, of up to `BURST` about one axis."""
     saturated_share: Share = 0.0
     """Share of the streams whose sensors end at ranges that are drawn log-uniform from `RANGES`."""
 
@@ -140,6 +144,10 @@ def augment(
             least, most = np.log(ends)
             end = np.exp(rng.uniform(least, most, (n, 1, 1)))
             np.clip(readings, -end, end, out=readings, where=saturated)
+    if augmentation.burst_share > 0:
+        for row in np.flatnonzero(rng.random(n) < augmentation.burst_share):
+            first, axis = rng.integers(up.shape[1]), rng.integers(3)
+            measured[0][row, first : first + rng.integers(1, 11), axis] = rng.uniform(-BURST, BURST)
     if augmentation.drop_share > 0:
         share = augmentation.drop_max * rng.random((n, 1)) * (rng.random((n, 1)) < augmentation.drop_share)
         lost = rng.random(up.shape[:2]) < share

@@ -93,16 +93,16 @@ def untrained(vectors: int = 4, gates: int = 8, seed: int = 0, spread: float = 0
         give=np.zeros((gates, 2, vectors)),
         take=np.zeros((gates, 2, vectors)),
         read=np.zeros((gates, 2)),
-        learn=np.array([0.03, 0.01]),
+        learn=np.array([0.0075]),
         gate=np.zeros((gates, FELT)),
         level=np.zeros(gates),
         onset=np.zeros(gates),
         tau=np.where(np.arange(gates) % 2, SLOW, FAST),
-        pairs=np.array([[OUTPUT, 6], [OUTPUT, 7]]),
+        pairs=np.array([[OUTPUT, 6]]),
         start=np.ones(vectors),
         scale=np.ones(vectors),
     )
-    p.tau[:8] = SLOW, SLOW, FAST, FAST, FAST, FAST, SLOWEST, SLOWEST
+    p.tau[:8] = SLOW, SLOW, FAST, FAST, FAST, FAST, SLOWEST, FAST
     p.start[2] = 0
     p.mix[:] += 0.01 * spread * rng.standard_normal(p.mix.shape)
     p.give[:] += 0.01 * spread * rng.standard_normal(p.give.shape)
@@ -126,11 +126,10 @@ def untrained(vectors: int = 4, gates: int = 8, seed: int = 0, spread: float = 0
     p.gate[0, 0], p.level[0], p.gate[1, 0], p.level[1] = 1.2, -0.2, -1.2, 1.2
     p.onset[[2, 3]] = 1.0
     p.gate[4, 2], p.gate[5, 1] = 0.7, 1.0
-    # the bias is learnt from both pulls, less where the force surprises
-    for q, source in ((6, 0), (7, 3)):
-        p.give[q] = p.take[q] = p.read[q] = 0.0
-        p.take[q, :, source], p.take[q, :, OUTPUT] = 1.0, -1.0
-        p.gate[q, 4], p.level[q] = -0.3, 0.8
+    # the bias is learnt from the pull, as far as it is small, less where the force surprises
+    p.give[6] = p.take[6] = p.read[6] = 0.0
+    p.take[6, :, 0], p.take[6, :, OUTPUT] = 4.0, -4.0
+    p.gate[6, 4], p.level[6], p.level[7] = -0.3, 0.8, 0.4
     return p
 
 

@@ -90,7 +90,7 @@ def train(
         layered = {"--model": model != "att-snn", "--folds": folds, "--epochs": epochs}
         if wrong := [option for option, given in layered.items() if given]:
             raise ValueError(
-                f"{wrong[0]} is not for the circuit of {preset}; its length is --set updates=9000"
+                f"{wrong[0]} is not for the circuit of {preset}; its length is --set updates=6500"
             )
         _train_circuit(out, data or [], preset, choices | {"seed": seed})
     elif folds:

@@ -91,7 +91,7 @@ def test_untrained_it_finds_up_from_any_start_and_keeps_it_in_a_turn(name):
 def test_learning_the_gyroscopes_bias_takes_most_of_its_error_away(name):
     gyro, accel, up = turning(12000, speed=0.0)
     errors = []
-    for p in (untrained(), untrained()._replace(learn=np.zeros(2))):
+    for p in (untrained(), untrained()._replace(learn=np.zeros(1))):
         est = circuit_estimator(name, p._replace(scale=np.full(4, 1.2)))
         estimate = est.outputs(gyro + np.array([0.03, -0.02, 0.01]), accel)[0] + LEVEL
         errors.append(inclination_deg(estimate, up)[-400:].mean())
@@ -383,7 +383,7 @@ def test_a_file_is_read_back_and_the_same_bytes(tmp_path):
         ({"mix": np.zeros((2, 3, 3))}, r"tensor mix has shape \(2, 3, 3\), should be \(2, 4, 4\)"),
         ({"pull": np.full((2, 4), np.nan)}, "tensor pull has values that are not finite"),
         ({"level": np.zeros(8, np.float32)}, "tensor level is float32"),
-        ({"pairs": np.array([[1, 6], [4, 7]])}, "pairs name a vector or a gate that is not there"),
+        ({"pairs": np.array([[4, 6]])}, "pairs name a vector or a gate that is not there"),
         ({"tau": np.zeros(8)}, "tau and scale should be above 0"),
     ],
 )

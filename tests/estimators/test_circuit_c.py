@@ -31,7 +31,9 @@ def readings(seed):
 def circuit(seed=0):
     """Parameters whose gates all open at times and whose bias learns fast."""
     p = untrained(VECTORS, GATES, seed, spread=1.0)
-    return p._replace(gate=p.gate + 0.2, learn=np.array([1.0, -0.7]), scale=p.scale * 1.1)
+    return p._replace(
+        gate=p.gate + 0.2, learn=np.array([1.0, -0.7]), pairs=np.array([[1, 6], [2, 7]]), scale=p.scale * 1.1
+    )
 
 
 def c_state(vectors, gates):

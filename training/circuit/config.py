@@ -36,9 +36,9 @@ class CircuitTraining(Strict):
     """Share of the streams in the hand to which translation is added."""
     calibrated_share: Share = 0.5
     """Share of the streams whose biases, scales and mounting are a tenth of those of the augmentation."""
-    known_share: Share = 0.6
+    known_share: Share = 0.35
     """Share of the streams that begin with attitude and bias known, as the later parts of a flight do."""
-    updates: Number = 9000
+    updates: Number = 6500
     """Updates of the weights."""
     batch_size: Annotated[int, Between(1, 1024)] = 16
     """Streams in an update."""

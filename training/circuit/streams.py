@@ -23,7 +23,7 @@ BLOCK = 32
 """Streams that are drawn at once."""
 EARLY = 0.25
 """Share of the streams that begin where a flight does."""
-RIDGE = 1e-3
+RIDGE, FALSE_RATE = 1e-3, 0.3
 CALIBRATED = 0.1
 """Errors of a calibrated IMU, relative to those of one that is not."""
 SWAY_HZ, SWAY_M, SWAY_MAX = (0.3, 2.5), 0.5, 40.0
@@ -122,10 +122,13 @@ def _block(
 def bias_of(gyro: Floats, up: Floats, rate_hz: float) -> Floats:
     """The gyroscope's bias (n, 3) that best explains how up turns, by least squares of u̇ = u × (ω - b).
 
-    About an axis that is vertical throughout, of which up tells nothing, it is 0.
+    About an axis that is vertical throughout, of which up tells nothing, it is 0. Samples that are more than
+    `FALSE_RATE` off, which no bias explains, count as so much off.
     """
     change = np.gradient(up, axis=1) * rate_hz
     right = gyro - up * (up * gyro).sum(2, keepdims=True) + np.cross(up, change)
+    middle = np.median(right, axis=1, keepdims=True)
+    right = middle + np.clip(right - middle, -FALSE_RATE, FALSE_RATE)
     square = np.eye(3) * (1 + RIDGE) - np.einsum("nti,ntj->nij", up, up) / up.shape[1]
     return np.linalg.solve(square, right.mean(1)[..., None])[..., 0]
 
