@@ -345,7 +345,7 @@ def test_ten_seconds_after_a_bad_sample_or_a_gap_an_estimate_is_within_two_degre
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="in its first half minute a false turn passes into the bias it learns")
+@pytest.mark.xfail(strict=True, reason="a false turn passes into the bias that it learns")
 @pytest.mark.parametrize("name", CIRCUIT)
 def test_the_circuit_forgets_false_turns_and_gaps_within_ten_seconds(clean, name):
     found = away_after_faults(clean, name)
