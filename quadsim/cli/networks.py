@@ -45,7 +45,10 @@ def train(
     preset: Preset = "att-snn",
     validation: Annotated[
         list[Path] | None,
-        typer.Option(help="Dataset that selects the best epoch; default: a part of --data."),
+        typer.Option(
+            help="Dataset that selects the best epoch; default: a part of --data. A circuit takes its last "
+            "weights, and reports the error."
+        ),
     ] = None,
     epochs: Annotated[
         int | None, typer.Option(min=1, help="Maximum number of epochs; default: the preset's.")
@@ -90,7 +93,7 @@ def train(
         layered = {"--model": model != "att-snn", "--folds": folds, "--epochs": epochs}
         if wrong := [option for option, given in layered.items() if given]:
             raise ValueError(
-                f"{wrong[0]} is not for the circuit of {preset}; its length is --set updates=6500"
+                f"{wrong[0]} is not for the circuit of {preset}: leave it out, or give --preset paper"
             )
         _train_circuit(out, data or [], preset, choices | {"seed": seed})
     elif folds:
