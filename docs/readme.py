@@ -89,8 +89,8 @@ def values(page: Page, given: Namespace) -> Parts:
             "  It has its own vehicles, aerodynamics, wind and controller. The IMU is our model.",
             f"- *BROAD* ({len(sets[BROAD])} trials) and *Phantom 4* ({len(sets[PHANTOM4])} flights): "
             "RMS inclination error on real recordings ([real logs](docs/logs.md)).",
-            "- The initial attitude is unknown. Nothing was trained or tuned on RotorPy, BROAD or Phantom 4, but "
-            "the",
+            "- The initial attitude is unknown. Nothing was trained or tuned on RotorPy, BROAD or Phantom 4, "
+            "but the",
             "  recipe of Att-SNN's training was chosen with them in view ([circuit](docs/circuit.md)).",
             "- *Always level* estimates zero roll and pitch. A network with output weights of zero",
             "  (*silenced*) does the same, so the difference is what the network contributes.",
