@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from pages import ROOT, Page, Parts, confirmed, row
+from pages import ROOT, Page, Parts, row
 
 from estimators import create
 from estimators.control.controller import SpikingController
@@ -35,23 +35,17 @@ from scenarios.bench.runner import bench
 Array = NDArray[np.float64]
 OUT = ROOT / "reports" / "control"
 SEEDS = 20
-ESTIMATOR = "att-snn-hummingbird"
-"""Whose spikes the separate controller reads."""
-ATTITUDE = "control-attitude"
-"""The controller that reads an attitude."""
-WAYS = {"attitude": ATTITUDE, "separate": "control-separate"}
+ESTIMATOR, SPIKING = "att-snn", "control-attitude"
 SAME = f"{ROOT / 'docs' / 'cascade.py'}:Cascade"
 """The cascade's levels as a controller of set-points: it knows no trajectory to feed forward."""
 TEACHER, BASE = "cascade, truth", "cascade, Att-SNN"
 NAMES = {
     TEACHER: "truth",
     "cascade without trajectory, truth": f"truth @ {SAME}",
-    "spiking, attitude, truth": f"truth @ {ATTITUDE}",
+    "spiking, truth": f"truth @ {SPIKING}",
     BASE: ESTIMATOR,
-    **{f"spiking, {way}, Att-SNN": f"{ESTIMATOR} @ {name}" for way, name in WAYS.items()},
+    "spiking, Att-SNN": f"{ESTIMATOR} @ {SPIKING}",
 }
-NEVER_DISPLACED = ("spiking, attitude, truth", "spiking, separate, Att-SNN")
-"""Controllers of which the page says that none crashes with its accelerometer off the centre of mass."""
 ELSEWHERE = ("px4-quad", "crazyflie")
 """Airframes that no controller was trained on."""
 NOMINAL = (
@@ -68,9 +62,7 @@ NOMINAL = (
 AGGRESSIVE = ("step-large", "racing")
 STEP_DEG, STEP_S, STEP_FLIGHTS = 20.0, 1.2, 8
 PROFILES = (32, 16)
-BOTH = (ESTIMATOR, ATTITUDE)
-"""Estimator and controller that share a core."""
-COLOURS = ("#000000", "#009e73", "#7a7a7a", "#56b4e9", "#0072b2")
+COLOURS = ("#000000", "#009e73", "#7a7a7a", "#0072b2")
 
 
 def cells(results: Results) -> dict[tuple[str, str], CellRow]:
@@ -90,13 +82,6 @@ def scenario_rows(found: dict[tuple[str, str], CellRow]) -> Iterator[str]:
     """Tracking by scenario."""
     for scenario in scenario_names():
         yield row(scenario, *(shown(found[scenario, title]) for title in NAMES))
-
-
-def without_crash(found: dict[tuple[str, str], CellRow], scenario: str, titles: Sequence[str]) -> str:
-    """The scenario, which the page says that these controllers do not crash in."""
-    for title in titles:
-        confirmed(f"{title}: crashes in {scenario}", found[scenario, title].crashes or 0)
-    return f"`{scenario}`"
 
 
 def tracking(found: dict[tuple[str, str], CellRow], title: str, scenarios: Sequence[str]) -> Array:
@@ -143,7 +128,7 @@ def makers() -> dict[str, tuple[MakeController | None, Any]]:
 
     Without a trajectory to follow, the cascade that knows none is the cascade.
     """
-    estimator = create("att-snn-loihi", weights=ESTIMATOR)
+    estimator = create(ESTIMATOR)
     return {
         title: (make_controller(controller_of(name)), estimator if base_of(title) == BASE else None)
         for title, name in NAMES.items()
@@ -194,23 +179,18 @@ def step_rows(responses: dict[str, Array]) -> Iterator[str]:
 
 
 def chip_rows() -> Iterator[str]:
-    """Cores of the chip that each way takes, as trained and with few decay profiles."""
-    contenders = {f"`{ESTIMATOR}`": ESTIMATOR} | {f"spiking, {way}": name for way, name in WAYS.items()}
-    for title, name in contenders.items():
-        yield row(title, *_cores(name))
-    parts = [OnLoihi(config, share_profiles(tensors, 16)) for config, tensors in map(load_network, BOTH)]
-    used = [core.used() for part in parts for core in part.cores]
-    whole = {name: sum(each[name] for each in used) for name in LIMITS}
-    cores = 1 if all(whole[name] <= LIMITS[name] for name in LIMITS) else len(used)
-    memory = f"{whole['synaptic bits'] / LIMITS['synaptic bits']:.2f}"
-    sizes = " and ".join(_cores(name)[0] for name in BOTH)
-    yield row(f"`{ESTIMATOR}` and spiking, attitude, of 16 profiles each", sizes, "", cores, memory)
+    """Cores of the chip that the controller takes, by its decay profiles."""
+    config, tensors = load_network(SPIKING)
+    for profiles in (None, *PROFILES):
+        cores = OnLoihi(config, share_profiles(tensors, profiles) if profiles else tensors).cores
+        bits = sum(core.used()["synaptic bits"] for core in cores) / LIMITS["synaptic bits"]
+        yield row(f"{profiles}, shared" if profiles else "as trained", len(cores), f"{bits:.2f}")
 
 
 def profile_rows() -> Iterator[str]:
-    """What few decay profiles cost the controller that reads an attitude."""
-    config, tensors = load_network(ATTITUDE)
-    names = {"as trained": f"truth @ {ATTITUDE}"}
+    """What few decay profiles cost the controller."""
+    config, tensors = load_network(SPIKING)
+    names = {"as trained": f"truth @ {SPIKING}"}
     for profiles in PROFILES:
         file = OUT / f"profiles-{profiles}.safetensors"
         save_network(file, config, share_profiles(tensors, profiles))
@@ -226,25 +206,14 @@ def profile_rows() -> Iterator[str]:
         yield row(title, ratio, crashed[name], crashed["truth"])
 
 
-def _cores(name: str) -> tuple[str, int, int, str]:
-    """Neurons, cores as trained and with few profiles, and synaptic memory over that of a core."""
-    config, tensors = load_network(name)
-    trained, shared = OnLoihi(config, tensors), OnLoihi(config, share_profiles(tensors))
-    bits = sum(each.used()["synaptic bits"] for each in shared.cores)
-    neurons, memory = f"{config.encoding} + {config.hidden}", f"{bits / LIMITS['synaptic bits']:.2f}"
-    return neurons, len(trained.cores), len(shared.cores), memory
+def silenced_left() -> str:
+    """What remains of a step where the output weights are zero [°]."""
+    config, tensors = load_network(SPIKING)
 
+    def make(rate_hz: float, vehicle: Vehicle) -> AttitudeController:
+        return SpikingController(config, silenced(config, tensors))
 
-def silenced_rows() -> Iterator[str]:
-    """Whether a controller flies with output weights of zero."""
-    for way, name in WAYS.items():
-        config, tensors = load_network(name)
-
-        def make(rate_hz: float, vehicle: Vehicle, config=config, tensors=tensors) -> AttitudeController:
-            return SpikingController(config, silenced(config, tensors))
-
-        response = step_response(make, None)
-        yield row(f"spiking, {way}", f"{np.abs(response[:, -1] - STEP_DEG).mean():.0f}")
+    return f"{np.abs(step_response(make, None)[:, -1] - STEP_DEG).mean():.0f}"
 
 
 def values(page: Page, given: Namespace) -> Parts:
@@ -261,11 +230,11 @@ def values(page: Page, given: Namespace) -> Parts:
         "steps": list(step_rows(responses)),
         "chip": list(chip_rows()),
         "profiles": list(profile_rows()),
-        "silenced": list(silenced_rows()),
+        "silenced": silenced_left(),
+        "neurons": " + ".join(str(getattr(load_network(SPIKING).config, n)) for n in ("encoding", "hidden")),
         "elsewhere": list(elsewhere_rows()),
         "columns": row("scenario", *NAMES),
         "ruler": row(*["---"] * (1 + len(NAMES))),
-        "displaced": without_crash(found, "lever-arm", NEVER_DISPLACED),
         "seeds": str(SEEDS),
         "flights": str(SEEDS * len(scenario_names())),
         "nominal": ", ".join(NOMINAL),

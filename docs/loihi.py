@@ -24,7 +24,7 @@ from estimators.networks.network import silenced
 from estimators.networks.on_chip import OnLoihi
 from estimators.networks.weights_file import Tensors, load_network
 
-NAME = "att-snn-hummingbird"
+NAME = "att-snn-paper"
 """The network that the page describes."""
 PROFILES = (128, 64, 48, 32, 24)
 LATENCY_ROUNDS = 60
@@ -88,8 +88,7 @@ def values(page: Page, given: Namespace) -> Parts:
     config, tensors = load_network(NAME)
     found = inspect(config, tensors, flights)
     silenced_deg = f"{error_deg(config, silenced(config, tensors), flights):.2f}"
-    rate_hz = config.rate_hz * config.steps_per_sample
-    page.save(raster_figure(found.activity, found.truth, rate_hz), "loihi-raster.png", colours=64)
+    page.save(raster_figure(found.activity, found.truth, config.rate_hz), "loihi-raster.png", colours=64)
     page.save(tuning_figure(found.activity, found.tuning), "loihi-tuning.png", colours=64)
     page.save(ablation_figure(FRACTIONS, found.ablation), "loihi-ablation.png", colours=64)
     return {

@@ -18,15 +18,14 @@ from estimators.metrics import attitude_error
 from estimators.networks.forward import real_weights
 from estimators.networks.network import NetworkEstimator, Spiking
 from estimators.networks.on_chip import OnLoihi
-from estimators.networks.symmetry import weight_sharing
-from estimators.networks.weights_file import Tensors, load_network, parameters, shipped_names
+from estimators.networks.weights_file import load_network, parameters, shipped_names
 from training.config import make_config
 from training.optim import LOOKAHEAD_ALPHA, LOOKAHEAD_K
 
 Array = NDArray[np.float64]
 
 
-NAME = "att-snn-hummingbird"
+NAME = "att-snn-paper"
 """The network that the page describes."""
 
 
@@ -88,26 +87,17 @@ def training_cells(training: dict) -> tuple[str, ...]:
     """Flights, updates, hours of flight in all updates, and hours that the last run took."""
     config = training.get("config", {})
     epochs, batches = -(-training["updates"] // config["batches"]), config["batches"]
-    later = [(0.0, config["window_s"]), *config.get("later_windows", ())]
-    lengths = [[s for share, s in later if k >= share * config["epochs"]][-1] for k in range(epochs)]
-    hours = min(epochs * batches, training["updates"]) / epochs * config["batch_size"] * sum(lengths) / 3600
+    hours = min(epochs * batches, training["updates"]) * config["batch_size"] * config["window_s"] / 3600
     seconds = training.get("seconds")
     spent = "–" if seconds is None else f"{seconds / 3600:.1f}"
     return str(training["training_flights"]), str(training["updates"]), f"{hours:.0f}", spent
-
-
-def free_parameters(tensors: Tensors) -> int:
-    """Different numbers among a symmetric network's parameters: shared ones count once."""
-    shared = weight_sharing(*(len(tensors[name]) for name in ("w_in", "w_ff", "w_out")))
-    there = {name: tensors[name].ravel() != 0 for name in shared if name in tensors}
-    return 2 + sum(np.unique(shared[name].first[used]).size for name, used in there.items())
 
 
 def values(page: Page, given: Namespace) -> Parts:
     """Measure."""
     flights = load_flights([simulated("test", given.data)])
     config, tensors = load_network(NAME)
-    best = make_config("hummingbird", data="x")
+    recipe = make_config("paper", data="x")
     return {
         "flights": str(len(flights.gyro)),
         "duration": f"{flights.gyro.shape[1] / flights.rate_hz:g}",
@@ -122,12 +112,10 @@ def values(page: Page, given: Namespace) -> Parts:
         "accel": ", ".join(f"{each:g}" for each in config.inputs.accel),
         "offset": ", ".join(f"{each:g}" for each in config.inputs.accel_offset),
         "parameters": str(parameters(tensors)),
-        "free": str(free_parameters(tensors)),
-        "window": f"{best.window_s:g}",
-        "batch": str(best.batch_size),
-        "huber": f"{best.huber_threshold:g}",
-        "rate_cost": f"{best.rate_cost:g}",
-        "rate_targets": " ".join(f"{each:g}" for each in best.rate_targets),
+        "window": f"{recipe.window_s:g}",
+        "batch": str(recipe.batch_size),
+        "huber": f"{recipe.huber_threshold:g}",
+        "rate_cost": f"{recipe.rate_cost:g}",
         "lookahead": f"{LOOKAHEAD_K}, {LOOKAHEAD_ALPHA:g}",
-        "lr": f"{best.optimiser_lr:g}",
+        "lr": f"{recipe.optimiser_lr:g}",
     }

@@ -57,7 +57,6 @@ FIXED = {
     "att-rnn-paper": Look(AMBER, DOTTED, "P"),
     "att-snn": Look(RED, DASHED, "<"),
     "att-snn-loihi": Look(RED, SOLID, "o"),
-    "att-snn-hummingbird": Look(RED, DOUBLE, "s"),
     "att-snn-paper": Look(RED, DOTTED, "D"),
 }
 """Of the estimators and weights that ship."""

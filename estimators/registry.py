@@ -87,7 +87,7 @@ def create(
 
     Args:
         name: One of `names()`, a network's weights, by the path of a .safetensors file or by a name under
-            which some ship, such as "att-snn-hummingbird"; or your own estimator: "module:Class",
+            which some ship, such as "att-snn-paper"; or your own estimator: "module:Class",
             "path/file.py:Class" or an entry point of the group "quadsim.estimators". It is made with
             `rate_hz`, and with the parameters that its class declares as keywords.
         rate_hz: Samples per second.

@@ -21,9 +21,8 @@ Sizes = Mapping[str, Any]
 
 SIM, REAL = "fly-sim", "fly-real"
 TEST = ("fly-test-sim", "fly-test-real")
-SNN, FIXED, CHIP, RNN, OURS = "net-snn", "net-weights", "net-chip", "net-rnn", "net-ours"
-"""By the paper's recipe: Att-SNN in floats, with fixed time constants, in the chip's integers, and Att-RNN;
-and the same network of neurons by our preset `hummingbird`."""
+SNN, FIXED, CHIP, RNN = "net-snn", "net-weights", "net-chip", "net-rnn"
+"""By the paper's recipe: Att-SNN in floats, with fixed time constants, on the chip, and Att-RNN."""
 CROSS = {"net-only-sim": SIM, "net-only-real": REAL}
 CRUISE = {"kind": "waypoints", "points": [[20.0 * k, 0.0, 20.0] for k in range(11)], "speed": 5.0}
 """A flight that has a constant velocity for long."""
@@ -126,14 +125,12 @@ def _train(
 
 
 def _networks(s: Sizes) -> list[Stage]:
-    ours = {"model": "att-snn", "preset": "hummingbird"} | s["ours"]
     long, short = PAPER | s["snn"], PAPER | s["fold"]
     return [
         _train(RNN, GRU | s["rnn"], s["seed"]),
         _train(SNN, long, s["seed"]),
         _train(CHIP, ON_CHIP | s["snn"], s["seed"]),
         _train(FIXED, short | {"fixed_taus": True}, s["seed"]),
-        _train(OURS, ours, s["seed"]),
         *(_train(f"net-fold-{k}", short, s["seed"] + k) for k in range(1, s["folds"])),
         *(_train(name, short, s["seed"], [domain]) for name, domain in CROSS.items()),
     ]
@@ -159,7 +156,6 @@ def _scores(s: Sizes) -> list[Stage]:
         "att-snn": ["att-snn", SNN],
         "att-rnn": ["att-rnn", RNN],
         "att-snn, chip": ["att-snn-loihi", CHIP],
-        "att-snn, ours": ["att-snn-loihi", OURS],
     }
     for label, model in SHIPPED.items():
         made[label] = [
@@ -167,11 +163,11 @@ def _scores(s: Sizes) -> list[Stage]:
             "",
             content_digest(CIRCUITS[model].read_bytes())[:8],
         ]  # new ones are scored again
-    looped = {label: made[label] for label in ("att-snn", "att-snn, chip", "att-snn, ours")}
+    looped = {label: made[label] for label in ("att-snn", "att-snn, chip")}
     in_loop = ["complementary", "mahony", "ekf"]
     loop = {"seeds": s["loop_seeds"], "duration_s": s["loop_s"], "filters": in_loop, "networks": looped}
     folds = [SNN, *(f"net-fold-{k}" for k in range(1, s["folds"]))]
-    tuned = (*(f"tune-{name}" for name in in_loop), SNN, CHIP, OURS)
+    tuned = (*(f"tune-{name}" for name in in_loop), SNN, CHIP)
     rounds = {"rounds": s["latency_rounds"]}
     ours, all_of_ours = ("estimators",), ("estimators", "scenarios")
     mixed = {"mixed": folds, "only": CROSS}

@@ -8,17 +8,12 @@ from typing import Annotated, Any, Literal, NamedTuple
 from pydantic import Field, ValidationError, model_validator
 
 from estimators.loihi.layers import WEIGHT_EXP_MIN
-from estimators.networks.symmetry import OPERATIONS
 from estimators.networks.weights_file import (
     PAPER_SCALING,
     InputScaling,
-    NetworkConfig,
-    NetworkOutputs,
     Neurons,
+    Outputs,
     SetPointScaling,
-    StepsPerSample,
-    Tensors,
-    load_network,
 )
 from quadsim.config.ranges import Between, Share
 from quadsim.config.toml import Strict, describe, load_toml, merged
@@ -29,7 +24,7 @@ from .augment import Augmentation
 Number = Annotated[int, Between(1, 1_000_000)]
 Window = Annotated[float, Between(0.01, 3600.0, "s")]
 Scale = Annotated[float, Between(1e-3, 1e4, "rad/s²")]
-CONTROL: NetworkOutputs = "angular-acceleration"
+CONTROL: Outputs = "angular-acceleration"
 """Outputs of a controller."""
 
 
@@ -62,9 +57,6 @@ class ControlSettings(Strict):
 
     recipe: str = "control"
     """Flights: a shipped recipe or a TOML file. Its vehicle and IMU are the controller's."""
-    estimator: str = ""
-    """Att-SNN whose spikes the controller reads, a shipped name or a file; its weights do not change. Empty:
-    the controller reads an attitude, in training the true one."""
     set_point: SetPointScaling = SetPointScaling()
     """Scaling and limits of the set-points, and the bound of the outputs."""
     error_scale: tuple[Scale, Scale, Scale] = (10.0, 10.0, 2.0)
@@ -83,11 +75,6 @@ class ControlSettings(Strict):
     validation_flights: Number = 24
     """Flights by the student alone after each epoch, to choose the best by."""
 
-    @property
-    def reads(self) -> Literal["imu", "attitude"]:
-        """What the network has beside the set-points and the gyroscope."""
-        return "imu" if self.estimator else "attitude"
-
 
 class TrainingRecipe(Strict):
     """How a network is trained: what a preset may set. The defaults are the paper's recipe."""
@@ -98,25 +85,15 @@ class TrainingRecipe(Strict):
     """Neurons of the recurrent layer."""
     quantised: bool = True
     """Train the network that the chip will run, weights, decays and states rounded (att-snn)."""
-    symmetric: bool = False
-    """Share the weights that quarter turns and mirror images of the body map onto each other (att-snn)."""
     recurrent_delay: Literal[1, 2] = 1
     """1: the chip's time convention; 2: the paper's equations (att-snn)."""
     finest_exponent: Annotated[int, Between(WEIGHT_EXP_MIN, 0)] = 0
     """Least exponent of the weights into a hidden neuron: steps of 1/128 times 2 to that power, where all of
     the neuron's weights are small enough (att-snn). A run that continues from weights has at least theirs."""
-    after_spike: bool = False
-    """Give each hidden neuron an after-spike current: a weight and a time constant of its own by which its
-    spikes act on itself (att-snn)."""
-    steps_per_sample: StepsPerSample = 1
-    """Network steps for each IMU sample (att-snn)."""
     inputs: InputScaling = PAPER_SCALING
     """Scaling of the six inputs."""
-    outputs: NetworkOutputs = "roll-pitch"
-    """Roll and pitch as in the paper, or the world's up in body axes (3), for attitudes where these are
-    singular; angular-acceleration trains a controller, in flights of its own."""
-    initialisation: Literal["random", "solved"] = "random"
-    """Random weights of unit scale, or a leaky integrator solved by ridge regression (att-snn)."""
+    outputs: Outputs = "roll-pitch"
+    """Roll and pitch as in the paper; angular-acceleration trains a controller, in flights of its own."""
     fixed_taus: bool = False
     """Train the weights alone and leave the time constants as they are at first (att-snn)."""
     optimisation: Literal["paper", "layered"] = "paper"
@@ -133,9 +110,6 @@ class TrainingRecipe(Strict):
     """Windows in a batch."""
     window_s: Window = 10.0
     """Length of a window [s]."""
-    later_windows: tuple[tuple[Share, Window], ...] = ()
-    """Other lengths of a window later on: the share of the epochs after which each is used, rising, and the
-    length [s]."""
     windows_per_stream: Number = 1
     """Most successive windows over which the network's state continues (truncated backpropagation)."""
     augmentation: Augmentation = Augmentation()
@@ -144,7 +118,7 @@ class TrainingRecipe(Strict):
     """Flights of a controller."""
     huber_threshold: Annotated[float, Between(0.0, 10.0, "rad")] = 0.0
     """Error above which the loss is linear, not quadratic, so that the unavoidable errors after an unknown
-    initial attitude weigh less [rad, of up its norm]; 0: quadratic everywhere."""
+    initial attitude weigh less [rad]; 0: quadratic everywhere."""
     rate_cost: Annotated[float, Between(0.0, 1e6)] = 0.0
     """Weight of the spike rates above their targets [rad² per spike, neuron and step]."""
     rate_targets: tuple[Share, Share] = (0.1, 0.1)
@@ -191,19 +165,9 @@ class TrainConfig(TrainingRecipe):
     @model_validator(mode="after")
     def _fits(self) -> TrainConfig:
         unreserved(self.seed)
-        shares = [share for share, _ in self.later_windows]
-        if sorted(set(shares)) != shares:
-            raise ValueError(f"later_windows: shares {shares}, each should be above the one before")
         layers = f"layers of {self.encoding} and {self.hidden}"
         if self.model == "att-rnn" and self.encoding != self.hidden:
             raise ValueError(f"att-rnn: {layers} units, should be equal")
-        least = len(OPERATIONS)
-        few = min(self.encoding, self.hidden) < least
-        if self.model == "att-snn" and self.symmetric and few:
-            raise ValueError(
-                f"symmetric: {layers} neurons, at least {least} of each share weights; give more, or "
-                "symmetric=false"
-            )
         if self.controls:
             self._fits_control()
         elif not self.data:
@@ -217,30 +181,18 @@ class TrainConfig(TrainingRecipe):
             raise ValueError(
                 "a controller is an att-snn that flies itself: leave out data, validation and model"
             )
-        if not self.quantised or self.symmetric or self.initialisation != "solved":
-            raise ValueError("a controller is trained quantised, not symmetric, from a solved initialisation")
+        if not self.quantised:
+            raise ValueError("a controller is trained quantised")
         if self.epochs < self.control.rounds + 1:
             raise ValueError(
                 f"epochs: {self.epochs}, should be at least the rounds, {self.control.rounds} + 1"
             )
-        longest = max([self.window_s, *(length for _, length in self.later_windows)])
-        if longest > self.control.flight_s:
-            raise ValueError(f"window_s: {longest:g}, should be at most control.flight_s")
-        if self.control.estimator:
-            network, _ = estimator_weights(self.control.estimator)
-            fixed = {name: getattr(network, name) for name in ("inputs", "after_spike", "steps_per_sample")}
-            for name, value in (fixed | {"finest_exponent": WEIGHT_EXP_MIN}).items():
-                if getattr(self, name) != value:
-                    raise ValueError(f"{name}: {getattr(self, name)}, but with the estimator it is {value}")
+        if self.window_s > self.control.flight_s:
+            raise ValueError(f"window_s: {self.window_s:g}, should be at most control.flight_s")
 
-    def window_s_in(self, epoch: int) -> float:
-        """Length of the windows of an epoch, counted from 0 [s]."""
-        lengths = [length for share, length in self.later_windows if epoch >= share * self.epochs]
-        return lengths[-1] if lengths else self.window_s
-
-    def steps_in(self, epoch: int, rate_hz: float) -> int:
-        """Samples of a window of an epoch."""
-        return round(self.window_s_in(epoch) * rate_hz)
+    def steps(self, rate_hz: float) -> int:
+        """Samples of a window."""
+        return round(self.window_s * rate_hz)
 
     def round_of(self, epoch: int) -> int:
         """Round of a controller's flights that an epoch, counted from 0, belongs to."""
@@ -255,7 +207,6 @@ def make_config(preset: str | Path = "paper", **choices: Any) -> TrainConfig:
         choices: Fields of `TrainConfig`; of a table, only the keys that are given change.
 
     Raises:
-        FileNotFoundError: No such weights of a controller's estimator.
         ValueError: One line: an unknown preset or field, or a value out of range.
     """
     loaded = load_toml(preset, "presets", Preset)
@@ -274,18 +225,3 @@ def make_config(preset: str | Path = "paper", **choices: Any) -> TrainConfig:
     if len(set(paths)) < len(paths):
         raise ValueError("data and validation: a dataset is given twice, its flights would count twice")
     return config
-
-
-def estimator_weights(path: str) -> tuple[NetworkConfig, Tensors]:
-    """The estimator in front of a controller.
-
-    Raises:
-        FileNotFoundError: No such file.
-        ValueError: Not a network that runs on the chip, once for each sample.
-    """
-    config, tensors = load_network(path)
-    if config.controls or config.model != "att-snn":
-        raise ValueError(f"estimator: {path} is no Att-SNN, give weights of one")
-    if not config.quantised or config.recurrent_delay != 1 or config.steps_per_sample != 1:
-        raise ValueError(f"estimator: {path} does not run on the chip, a step for each sample")
-    return config, tensors

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,13 +20,13 @@ from estimators.metrics import absolute_error, inclination_error
 from estimators.networks.encoder import INPUT_ONE, scaled_inputs
 from estimators.networks.gru import Recurrent
 from estimators.networks.network import NetworkEstimator, Spiking
-from estimators.networks.weights_file import LEVEL_UP, NetworkConfig, Tensors
+from estimators.networks.weights_file import NetworkConfig, Tensors
 from quadsim.dataset.reading import open_dataset
 from quadsim.rotation import quat_rotate_inverse, roll_pitch_of_up
 
 from .augment import Augmentation, augment
 from .config import TrainConfig
-from .init import ESTIMATOR_START, initialise_from_data, initialise_random
+from .init import initialise_random
 from .models import AttRNN, AttSNN
 
 Float32 = NDArray[np.float32]
@@ -116,13 +115,12 @@ def flights_of(config: TrainConfig) -> tuple[TrainingFlights, TrainingFlights, T
         ValueError: Too few flights, or too short ones, or datasets that do not go together.
     """
     flights = load_training_flights(config.data)
-    lengths = [config.steps_in(k, flights.rate_hz) for k in range(config.epochs)]
-    available = flights.gyro.shape[1]
-    if min(lengths) < 1:
+    steps, available = config.steps(flights.rate_hz), flights.gyro.shape[1]
+    if steps < 1:
         raise ValueError("windows of no sample: give a larger window_s")
-    if max(lengths) > available:
+    if steps > available:
         raise ValueError(
-            f"windows of {max(lengths)} samples, but the flights have {available}: give a smaller window_s"
+            f"windows of {steps} samples, but the flights have {available}: give a smaller window_s"
         )
     if config.folds:
         parts = fold_split(len(flights), config.folds, config.fold, config.seed)
@@ -208,15 +206,13 @@ def windows(
     ]
     for _ in range(config.batches):
         parts = [next(cohort) for cohort in cohorts]
-        gyro, accel, roll_pitch, up, reset = (np.concatenate(signal) for signal in zip(*parts, strict=True))
-        target = up - LEVEL_UP.astype(up.dtype) if config.outputs == "up" else roll_pitch
-        yield Batch(gyro, accel, target, reset)
+        yield Batch(*(np.concatenate(signal) for signal in zip(*parts, strict=True)))
 
 
 def _streams(
     flights: TrainingFlights, drawn: Augmentation, n: int, steps: int, most: int, rng: np.random.Generator
 ) -> Iterator[tuple[NDArray, ...]]:
-    """Windows of `n` streams of one length, then of `n` others: gyro, accel, roll and pitch, up, reset."""
+    """Windows of `n` streams of one length, then of `n` others: gyro, accel, roll and pitch, reset."""
     while True:
         length = int(np.exp(rng.uniform(0, np.log(most + 1)))) * steps
         rows = rng.integers(len(flights), size=n)[:, None]
@@ -227,27 +223,19 @@ def _streams(
         roll_pitch = roll_pitch_of_up(up).astype(np.float32)
         for k in range(0, length, steps):
             part = slice(k, k + steps)
-            window = (each[:, part] for each in (gyro, accel, roll_pitch, up))
+            window = (each[:, part] for each in (gyro, accel, roll_pitch))
             yield *window, np.full(n, k == 0)
 
 
 def network_inputs(config: TrainConfig, batch: Batch, state: NDArray[np.void] | None = None) -> Tensor:
-    """Scaled inputs of each network step, shape (n, steps, inputs); `state` as in `scaled_inputs`."""
+    """Scaled inputs, shape (n, T, inputs); `state` as in `scaled_inputs`."""
     x = scaled_inputs(config.inputs, batch.gyro, batch.accel, state)
     if config.model == "att-rnn":
         return torch.from_numpy(x.astype(np.float32))
     if batch.set_point is not None:
         wanted = follow(config.control.set_point, batch.set_point.astype(np.float64)).inputs / INPUT_ONE
         x = np.concatenate([x, wanted], 2)
-    return torch.from_numpy(np.repeat(x, config.steps_per_sample, 1))
-
-
-def sample_windows(config: TrainConfig, flights: TrainingFlights) -> Batch:
-    """A few long windows, to solve the first network on."""
-    steps = config.steps_in(0, flights.rate_hz)
-    length = max(1, min(3, flights.gyro.shape[1] // max(steps, 1))) * steps
-    few = config.model_copy(update={"batches": 1, "batch_size": 32, "windows_per_stream": 1})
-    return next(windows(flights, few, length, (config.seed, 0)))
+    return torch.from_numpy(x)
 
 
 SETTLED_S = 5.0
@@ -255,7 +243,7 @@ SETTLED_S = 5.0
 
 
 class AttitudeTask:
-    """Roll and pitch, or up, from readings of an IMU; see `training.loop.Task`."""
+    """Roll and pitch from readings of an IMU; see `training.loop.Task`."""
 
     scale = (1.0,)
 
@@ -270,29 +258,22 @@ class AttitudeTask:
 
     def initial_model(self) -> AttSNN | AttRNN:
         """The network before the first update."""
-        config = self.config
-        spiking = config.model == "att-snn"
-        model = AttSNN(config) if spiking else AttRNN(config)
-        if isinstance(model, AttSNN) and config.initialisation == "random":
-            initialise_random(model, config.seed)
-        elif isinstance(model, AttSNN):
-            batch, steps = sample_windows(config, self.flights), config.steps_per_sample
-            target = np.repeat(batch.target, steps, 1)
-            start = ESTIMATOR_START._replace(stretch=steps)
-            initialise_from_data(model, network_inputs(config, batch).numpy(), target, config.seed, start)
+        if self.config.model == "att-rnn":
+            return AttRNN(self.config)
+        model = AttSNN(self.config)
+        initialise_random(model, self.config.seed)
         return model
 
     def windows(self, epoch: int, student: Any) -> Iterator[Batch]:
         """The windows of an epoch; no student flies."""
-        steps = self.config.steps_in(epoch, self.rate_hz)
+        steps = self.config.steps(self.rate_hz)
         return windows(self.flights, self.config, steps, (self.config.seed, 1, epoch))
 
     def validate(self, network: NetworkConfig, tensors: Tensors) -> dict[str, float]:
         """Errors over complete validation flights, unknown initial attitude.
 
-        `loss` chooses the best epoch: the mean square error [rad²]; of up half the mean square of the
-        inclination error, which is the same for small tilts. `error_deg`: mean absolute error of roll and
-        pitch; `settled_deg`: the same without the first 5 s; `inclination_deg`: RMS inclination error.
+        `loss` chooses the best epoch: the mean square error [rad²]. `error_deg`: mean absolute error of roll
+        and pitch; `settled_deg`: the same without the first 5 s; `inclination_deg`: RMS inclination error.
         """
         core = Spiking(network, tensors) if network.model == "att-snn" else Recurrent(network, tensors)
         estimator = NetworkEstimator(core, network.rate_hz)
@@ -302,9 +283,8 @@ class AttitudeTask:
         error = absolute_error(estimate, truth)
         settled = error[:, round(SETTLED_S * flights.rate_hz) :]
         inclination = float(np.sqrt(np.mean(inclination_error(estimate, truth) ** 2)))
-        up = network.outputs == "up"
         return {
-            "loss": math.radians(inclination) ** 2 / 2 if up else float(np.mean((estimate - truth) ** 2)),
+            "loss": float(np.mean((estimate - truth) ** 2)),
             "error_deg": float(error.mean()),
             "settled_deg": float((settled if settled.size else error).mean()),
             "inclination_deg": inclination,

@@ -30,9 +30,8 @@ class Workspace:
         edges = np.linspace(0, n, min(threads, n) + 1).astype(int)
         self.parts = [slice(lo, hi) for lo, hi in pairwise(edges)]
         self.sizes = len(weights.w_in), len(weights.w_ff), len(weights.w_out)
-        after = len(weights.syn_after)
         self.traces = [
-            Trace.empty(steps, part.stop - part.start, self.sizes, after, self.dtype) for part in self.parts
+            Trace.empty(steps, part.stop - part.start, self.sizes, self.dtype) for part in self.parts
         ]
         self.places = np.array(self.sizes[:2]) * n * steps  # where spikes can be
         self.runs = 0
@@ -78,7 +77,7 @@ class _Fused(torch.autograd.Function):
         weights: Weights[Floats] = ctx.weights
         if space.runs != ctx.run:
             raise RuntimeError("the workspace has run another window since this one: its trace is gone")
-        (h0, h1, outputs), after = space.sizes, len(weights.syn_after)
+        h0, h1, outputs = space.sizes
         constants = np.array(
             [THRESHOLD, SURROGATE_WIDTH, 1.0, 0.0, *grads[1].numpy() / space.places], space.dtype
         )
@@ -86,15 +85,14 @@ class _Fused(torch.autograd.Function):
         def run(part: slice, trace: Trace) -> Gradients:
             n = part.stop - part.start
             shapes = [(ctx.x.shape[2], h0), (h0 + h1, h1 + outputs), ((h0 + h1) * ctx.later, h1)]
-            shapes += [(n, after)] * 2 + [(n, h0 + h1)] * 2 + [(2,)]
+            shapes += [(n, h0 + h1)] * 2 + [(2,)]
             gradients = Gradients(*(np.zeros(shape, space.dtype) for shape in shapes))
             window, of_output = (
                 np.ascontiguousarray(each[part].transpose(1, 0, 2), space.dtype)
                 for each in (ctx.x, grads[0].numpy())
             )
             backward_window(window, of_output, weights, trace, gradients, tuple(constants))
-            by_sequence = gradients._fields[3:7]
-            return gradients._replace(**{name: getattr(gradients, name).sum(0) for name in by_sequence})
+            return gradients._replace(syn=gradients.syn.sum(0), mem=gradients.mem.sum(0))
 
         total, *others = space.each(run)
         for part in others:
@@ -105,14 +103,12 @@ class _Fused(torch.autograd.Function):
             w_ff=total.w[:h0, :h1].T,
             w_rec=recurrent[h0:, :h1].T,
             w_out=total.w[h0:, h1:].T,
-            w_after=total.w_after.reshape(weights.w_after.shape),
             syn0=total.syn[:h0],
             mem0=total.mem[:h0],
             syn1=total.syn[h0:],
             mem1=total.mem[h0:],
             syn2=total.outputs[:1],
             mem2=total.outputs[1:],
-            syn_after=total.syn_after,
         )
         return None, None, None, None, *(torch.from_numpy(np.ascontiguousarray(each)) for each in found)
 
@@ -159,11 +155,8 @@ class Fused:
         h0, h1, _ = self._last.sizes
         return v[..., :h0] > THRESHOLD, v[..., h0 : h0 + h1] > THRESHOLD
 
-    def peak_currents(self, every: int = 1) -> tuple[Floats, Floats, Floats]:
-        """Largest currents of both layers, and after-spike ones, in every so many steps."""
-        u, after = (
-            np.max([np.abs(each[::every]).max((0, 1)) for each in parts], 0)
-            for parts in ([trace.u for trace in self._last.traces], [trace.a for trace in self._last.traces])
-        )
+    def peak_currents(self, every: int = 1) -> tuple[Floats, Floats]:
+        """Largest currents of both layers in every so many steps."""
+        u = np.max([np.abs(trace.u[::every]).max((0, 1)) for trace in self._last.traces], 0)
         h0, h1, _ = self._last.sizes
-        return u[:h0], u[h0 : h0 + h1], after
+        return u[:h0], u[h0 : h0 + h1]

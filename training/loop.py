@@ -217,16 +217,15 @@ class Training:
         config, model = self.config, self.model
         self._input_state[batch.reset] = 0.0
         outputs, rates = model(network_inputs(config, batch, self._input_state), batch.reset)
-        outputs = outputs[:, config.steps_per_sample - 1 :: config.steps_per_sample] / self._scale
         target = torch.from_numpy(batch.target) / self._scale
         self.optimiser.zero_grad()
-        total_cost(outputs, target, rates, config).backward()
+        total_cost(outputs / self._scale, target, rates, config).backward()
         torch.nn.utils.clip_grad_norm_(model.parameters(), config.method.clip)
         self.optimiser.step()
         if isinstance(model, AttSNN):
             model.limit_currents()
         model.constrain()
-        return float(error_loss(outputs.detach(), target)), rates.tolist()
+        return float(error_loss(outputs.detach() / self._scale, target)), rates.tolist()
 
     def save_best(self, out: Path, epoch: Epoch) -> None:
         """Write the slow weights as the run's best."""

@@ -111,7 +111,7 @@ def total_cost(estimate: Tensor, target: Tensor, rates: Tensor, config: TrainCon
     """What an update minimises: the sum of all losses, each times its weight in the configuration [rad²].
 
     Args:
-        estimate: Outputs, shape (n, T, 2) [rad], or up, or scaled angular acceleration, shape (n, T, 3).
+        estimate: Outputs, shape (n, T, 2) [rad], or scaled angular acceleration, shape (n, T, 3).
         target: What they should be.
         rates: Spikes per neuron and step of the encoding and of the hidden layer, shape (2,).
         config: Of the run.
@@ -121,9 +121,8 @@ def total_cost(estimate: Tensor, target: Tensor, rates: Tensor, config: TrainCon
 
 
 def error_loss(estimate: Tensor, target: Tensor, huber_threshold: float = 0.0) -> Tensor:
-    """Mean square error over roll and pitch [rad²]; both (n, T, 2), or up, (n, T, 3).
+    """Half the mean square norm of an error (n, T, outputs), of roll and pitch their mean square [rad²].
 
-    The norm of a small error of up is that of roll and pitch together, and half its square their mean square.
     Where the norm of the error exceeds `huber_threshold` [rad], the loss is linear in it (Huber, "Robust
     estimation of a location parameter", Annals of Mathematical Statistics 35, 1964); 0: nowhere.
     """

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 from dataclasses import asdict, dataclass
@@ -10,7 +9,6 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from estimators.networks.weights_file import load_network
 from quadsim.runs.files import drop_parts, save_figure, write_whole
 from quadsim.runs.fingerprint import code_digest
 
@@ -88,14 +86,7 @@ def claim(out: Path, config: TrainConfig, contents: dict[str, str] | None = None
 
 def contents_of(config: TrainConfig, flights: dict[str, str]) -> dict[str, str]:
     """Digests of what a run reads, its flights' among them, so that a run on other files is refused."""
-    digests = flights | {"code": code_digest("training.loop")}
-    if path := config.control.estimator:
-        network, tensors = load_network(path)
-        digest = hashlib.blake2b(network.model_dump_json(exclude={"training"}).encode(), digest_size=16)
-        for tensor, value in sorted(tensors.items()):
-            digest.update(tensor.encode() + value.tobytes())
-        digests["estimator"] = digest.hexdigest()
-    return digests
+    return flights | {"code": code_digest("training.loop")}
 
 
 def plot(out: Path, history: list[Epoch]) -> None:

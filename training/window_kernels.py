@@ -26,24 +26,22 @@ class Trace(NamedTuple):
 
     u: Floats  #: currents, row t + 1 is step t, shape (T + 1, n, neurons)
     v: Floats  #: potentials before the reset (outputs: after), row t + 2 is step t, shape (T + 2, n, neurons)
-    a: Floats  #: after-spike currents of the hidden layer, rows as of u, shape (T + 1, n, h1); or (.., 0)
     spikes: NDArray[np.uint16]  #: `list_spikes` of both layers, rows as of v, shape (T + 2, n, h0 + h1 + 2)
 
     @classmethod
-    def empty(cls, steps: int, n: int, sizes: tuple[int, int, int], after: int, dtype: np.dtype) -> Trace:
+    def empty(cls, steps: int, n: int, sizes: tuple[int, int, int], dtype: np.dtype) -> Trace:
         """Buffers for one window of a network with these layers."""
         u, v = np.zeros((steps + 1, n, sum(sizes)), dtype), np.zeros((steps + 2, n, sum(sizes)), dtype)
         spikes = np.zeros((steps + 2, n, sizes[0] + sizes[1] + 2), np.uint16)
-        return cls(u, v, np.zeros((steps + 1, n, after), dtype), spikes)
+        return cls(u, v, spikes)
 
     def begin(self, reset: NDArray[np.bool_]) -> None:
         """Start where the last window ended, the sequences in `reset` (n,) from rest."""
         for rows in (self.v, self.spikes):
             rows[:2] = rows[-2:]
             rows[:2, reset] = 0
-        for rows in (self.u, self.a):
-            rows[0] = rows[-1]
-            rows[0, reset] = 0
+        self.u[0] = self.u[-1]
+        self.u[0, reset] = 0
 
 
 @njit(inline="always")
@@ -64,24 +62,22 @@ def forward_window(x, encoders, table, weights, sums, one, trace):
     neurons, hidden = neurons_of(weights, h0, table), weights.shape[1] - h0
     total, bias = np.zeros(h0, number), np.zeros(h0, number)
     current, first_v = np.zeros((n, h0), number), np.zeros((n, h0), number)
-    u, v, a = np.zeros((n, targets), number), np.zeros((n, targets), number), np.zeros((n, targets), number)
+    u, v = np.zeros((n, targets), number), np.zeros((n, targets), number)
     for b in range(n):
         _copy(trace.u[0, b], one, current[b])
         _copy(trace.u[0, b, h0:], one, u[b])
         _copy(trace.v[1, b], one, first_v[b])
         _copy(trace.v[1, b, h0:], one, v[b])
-        _copy(trace.a[0, b], one, a[b, : trace.a.shape[2]])
     for t in range(x.shape[0]):
         for b in range(n):
             advance(x[t, b], encoders, current[b], bias, total)
-            state = NeuronState(first_v[b], u[b], v[b], a[b])
+            state = NeuronState(first_v[b], u[b], v[b])
             step(neurons, bias, state, trace.spikes[t + 1, b], trace.spikes[t, b], sums)
             list_spikes(neurons, first_v[b], v[b], trace.spikes[t + 2, b])
             _copy(current[b], unit, trace.u[t + 1, b, :h0])
             _copy(u[b], unit, trace.u[t + 1, b, h0:])
             _copy(first_v[b], unit, trace.v[t + 2, b, :h0])
             _copy(v[b], unit, trace.v[t + 2, b, h0:])
-            _copy(a[b], unit, trace.a[t + 1, b])
             for o in range(hidden, targets):
                 if v[b, o] > neurons.vth[o]:
                     trace.v[t + 2, b, h0 + o] = 0.0
@@ -93,8 +89,6 @@ class Gradients(NamedTuple):
     w_in: Floats  #: (inputs, h0)
     w: Floats  #: from both layers to the hidden layer and the outputs, (h0 + h1, h1 + outputs)
     w_later: Floats  #: the same of a connection with a delay of 2, (h0 + h1, h1); else (0, h1)
-    w_after: Floats  #: (n, h1), or (n, 0)
-    syn_after: Floats  #: as w_after
     syn: Floats  #: of both layers, (n, h0 + h1)
     mem: Floats  #: as syn
     outputs: Floats  #: syn and mem of the outputs, (2,)
@@ -105,9 +99,9 @@ class LayerGradients(NamedTuple):
 
     ds: Floats
     dv: Floats
-    du: Floats  #: of the currents: of the synapses, or after spikes
-    first: Floats  #: of syn, or of w_after, summed over the steps
-    second: Floats  #: of mem, or of syn_after
+    du: Floats  #: of the currents
+    syn: Floats  #: of syn, summed over the steps
+    mem: Floats  #: of mem, likewise
 
 
 @njit(inline="always", error_model="numpy", fastmath={"contract"})
@@ -125,19 +119,6 @@ def _step_back(v, before, current, syn, mem, layer, constants):
         sum_syn[i] += du[i] * current[i]
 
 
-@njit(inline="always", error_model="numpy", fastmath={"contract"})
-def _after_spikes_back(before, current, w, tau, layer, constants):
-    """Gradients of after-spike currents and, in ds, those of the spikes of the step before."""
-    threshold, zero = constants[0], constants[3]
-    ds, dv, da, sum_w, sum_tau = layer
-    for i in range(da.shape[0]):
-        d = dv[i] + tau[i] * da[i]
-        da[i] = d
-        sum_w[i] += d if before[i] > threshold else zero
-        sum_tau[i] += d * current[i]
-        ds[i] = w[i] * d
-
-
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def backward_window(x, grad, weights, trace, gradients, constants):
     """Add the gradients of a window.
@@ -153,26 +134,19 @@ def backward_window(x, grad, weights, trace, gradients, constants):
     """
     steps, n, outputs = grad.shape
     h1, h0 = weights.w_ff.shape
-    both, u, v, a, spikes, number = h0 + h1, trace.u, trace.v, trace.a, trace.spikes, grad.dtype
-    w_out, w_after = weights.w_out, weights.w_after.ravel()
+    both, u, v, spikes, number, w_out = h0 + h1, trace.u, trace.v, trace.spikes, grad.dtype, weights.w_out
     w_down = np.concatenate((weights.w_ff, weights.w_rec), 1)
     syn, mem = np.concatenate((weights.syn0, weights.syn1)), np.concatenate((weights.mem0, weights.mem1))
     syn2, mem2, later = weights.syn2[0], weights.mem2[0], gradients.w_later.shape[0] > 0
-    ds, dv, da = (
-        np.zeros((n, both), number),
-        np.zeros((n, both + outputs), number),
-        np.zeros((n, w_after.size), number),
-    )
+    ds, dv = np.zeros((n, both), number), np.zeros((n, both + outputs), number)
     du, down, down_before = np.zeros_like(dv), np.zeros_like(ds), np.zeros_like(ds)
     for t in range(steps - 1, -1, -1):
         for b in range(n):
             delivered, of_hidden = (down_before if later else down)[b, h0:], ds[b, h0:]
             for i in range(h0):
                 ds[b, i] = down[b, i] + constants[4]
-            if da.size == 0:
-                of_hidden[:] = 0
             for i in range(h1):
-                of_hidden[i] += delivered[i] + constants[5]
+                of_hidden[i] = delivered[i] + constants[5]
             for o in range(outputs):
                 d = du[b, both + o]
                 for i in range(h1):
@@ -185,8 +159,6 @@ def backward_window(x, grad, weights, trace, gradients, constants):
                 gradients.outputs[1] += dv[b, k] * v[t + 1, b, k]
             layer = LayerGradients(ds[b], dv[b], du[b], gradients.syn[b], gradients.mem[b])
             _step_back(v[t + 2, b], v[t + 1, b], u[t, b], syn, mem, layer, constants)
-            own = LayerGradients(of_hidden, dv[b, h0:], da[b], gradients.w_after[b], gradients.syn_after[b])
-            _after_spikes_back(v[t + 1, b, h0:], a[t, b], w_after, weights.syn_after, own, constants)
             for k in range(x.shape[2]):
                 sample, into = x[t, b, k], gradients.w_in[k]
                 for i in range(h0):

@@ -19,8 +19,7 @@ enum {
     BIAS_MANT_MAX = 4095,
     THRESHOLD = 128 * 64,
     OUTPUT_THRESHOLD = 131071 * 64,
-    STATE_MAX = 8388607,
-    STEPS_PER_SAMPLE = $steps
+    STATE_MAX = 8388607
 };
 
 /* Weights are halves of the chip's mantissas, which are even. Onto the hidden layer they stand by block of neurons,
@@ -37,17 +36,13 @@ static const uint32_t W_REC[][WORDS] = $w_rec;
 static const sources FROM_REC[] = $from_rec;
 static const int8_t W_OUT[HIDDEN][OUTPUTS] = $w_out;
 
-/* A step leaves keep / 2^31 of a current u, a potential v and an after-spike current a. */
+/* A step leaves keep / 2^31 of a current u and of a potential v. */
 static const struct {
     int32_t keep_u, keep_v;
     uint32_t w[PAIRS]; /* of the inputs, two to a word, the even one in its lower half */
 } ENCODER[ENCODING] = $encoders;
 static const struct {
     int32_t keep_u, keep_v;
-#if AFTER_SPIKE
-    int32_t keep_a;
-    int16_t w_after; /* what its own spike adds to a [units of state] */
-#endif
     uint8_t unit_ff, unit_rec; /* how many units of state its weights are in steps of */
 } NEURON[HIDDEN] = $neurons;
 static const int32_t OUTPUT_KEEP_U = $syn2;
@@ -262,19 +257,11 @@ static void step_hidden(${n}_state *state)
             const int32_t u = wrap(decay(state->hidden[i].u, NEURON[i].keep_u) + arriving, 23);
             int32_t v = decay(state->hidden[i].v, NEURON[i].keep_v) + u;
             state->hidden[i].u = u;
-#if AFTER_SPIKE
-            v += state->hidden[i].a;
-            state->hidden[i].a = decay(state->hidden[i].a, NEURON[i].keep_a);
-#endif
             if (beyond(v)) {
                 const int fires = v > THRESHOLD;
                 v = fires ? 0 : -STATE_MAX;
-                if (fires) {
+                if (fires)
                     fired[count++] = (uint16_t)i;
-#if AFTER_SPIKE
-                    state->hidden[i].a = wrap(state->hidden[i].a + NEURON[i].w_after, 23);
-#endif
-                }
             }
             state->hidden[i].v = v;
         }
@@ -316,18 +303,16 @@ static void step_encoding(${n}_state *state)
 /* In a step every layer reads the spikes of the step before, so the last layer goes first. */
 void ${n}_step(${n}_state *state)
 {
-    for (int k = 0; k < STEPS_PER_SAMPLE; ++k) {
-        step_outputs(state);
-        step_hidden(state);
-        step_encoding(state);
-    }
+    step_outputs(state);
+    step_hidden(state);
+    step_encoding(state);
 }
 
 #if ESTIMATES
-void ${n}_attitude(const ${n}_state *state, double $name[OUTPUTS])
+void ${n}_attitude(const ${n}_state *state, double roll_pitch[OUTPUTS])
 {
     for (int k = 0; k < OUTPUTS; ++k)
-        $name[k] = state->output[k].v * SCALE$level;
+        roll_pitch[k] = state->output[k].v * SCALE;
 }
 #endif
 #if CONTROLS

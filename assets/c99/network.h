@@ -15,9 +15,6 @@ extern "C" {
 #define ${N}_ENCODING $encoding
 #define ${N}_HIDDEN $hidden
 #define ${N}_OUTPUTS $outputs
-#if CONTROLS
-#define ${N}_READS_ATTITUDE $reads_attitude
-#endif
 /* The potential of an output divided by this is $quantity. */
 #define ${N}_UNITS_PER_$UNIT $units
 
@@ -28,9 +25,6 @@ typedef struct {
     } encoding[${N}_ENCODING];
     struct {
         int32_t u, v;
-#if AFTER_SPIKE
-        int32_t a; /* after-spike current of the next step */
-#endif
     } hidden[${N}_HIDDEN];
     struct {
         int32_t u, v;
@@ -57,7 +51,7 @@ void ${n}_set_point(${n}_state *state, const double set_point[4]);
 /* Scale one reading, body rate [rad/s] and specific force [m/s^2], body x forward, y left, z up. A reading that
  * is not finite or beyond 4000 deg/s or 32 g, or a force of exactly zero, leaves the last good one and is counted
  * in `skipped`.
-#if READS_ATTITUDE
+#if CONTROLS
  * This network reads an attitude: for accel give it $gravity m/s^2 times the world's up in body axes,
  * (-sin(pitch), sin(roll) cos(pitch), cos(roll) cos(pitch)), of any estimate.
 #endif
@@ -68,8 +62,8 @@ void ${n}_encode(${n}_state *state, const double gyro[3], const double accel[3])
 void ${n}_step(${n}_state *state);
 
 #if ESTIMATES
-/* $what now. */
-void ${n}_attitude(const ${n}_state *state, double $name[${N}_OUTPUTS]);
+/* Roll and pitch [rad] now. */
+void ${n}_attitude(const ${n}_state *state, double roll_pitch[${N}_OUTPUTS]);
 #endif
 #if CONTROLS
 /* Angular acceleration, body axes, within +-$bound rad/s^2, and the thrust that was asked for. */

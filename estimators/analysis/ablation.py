@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from ..evaluation.flights import Flights
 from ..metrics import attitude_error
 from ..networks.network import NetworkEstimator, Spiking
-from ..networks.symmetry import is_symmetric, weight_sharing
 from ..networks.weights_file import AXES, NetworkConfig, Tensors, exponents
 from .activity import Activity
 
@@ -63,36 +62,15 @@ def pruned(
 ) -> tuple[NetworkConfig, Tensors]:
     """The network without the least important fraction of all neurons; at least one stays in each layer.
 
-    Where weights are shared (`estimators.networks.symmetry`) so is the importance, and neurons go by whole
-    groups: the fraction is the least that goes, unless the last group of a layer would, and what stays
-    is symmetric.
-
     Raises:
         ValueError: A fraction outside [0, 1).
     """
     if not 0.0 <= fraction < 1.0:
         raise ValueError(f"fraction: {fraction}, should be in [0, 1)")
-    encoding = values[0].size
-    first, second = _groups(tensors)
-    group = np.concatenate([first, second + encoding])
-    sizes = np.bincount(group)
-    sums = np.bincount(group, np.concatenate(list(values)))
-    whole = np.where(sizes > 0, sums / np.maximum(sizes, 1), -np.inf)
-    whole[[int(np.argmax(whole[:encoding])), encoding + int(np.argmax(whole[encoding:]))]] = np.inf
-    order = np.argsort(-whole, kind="stable")[: np.count_nonzero(sizes)]
-    stay = np.cumsum(sizes[order]) <= round(group.size * (1 - fraction))
-    stay[:2] = True
-    chosen = np.flatnonzero(np.isin(group, order[stay]))
+    encoding, whole = values[0].size, np.concatenate(list(values))
+    whole[[int(np.argmax(values[0])), encoding + int(np.argmax(values[1]))]] = np.inf
+    chosen = np.argsort(-whole, kind="stable")[: max(2, round(whole.size * (1 - fraction)))]
     return without(config, tensors, [chosen[chosen < encoding], chosen[chosen >= encoding] - encoding])
-
-
-def _groups(tensors: Tensors) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """For each neuron of both layers the first of those that share its weights."""
-    encoding, hidden = len(tensors["mem0"]), len(tensors["mem1"])
-    if not is_symmetric(tensors):
-        return np.arange(encoding), np.arange(hidden)
-    shared = weight_sharing(encoding, hidden)
-    return shared["mem0"].first, shared["mem1"].first
 
 
 def ablation(

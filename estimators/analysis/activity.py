@@ -18,7 +18,7 @@ LAYERS = ("encoding", "hidden")
 
 @dataclass(frozen=True)
 class Activity:
-    """Spikes and states of a network over n flights of T samples, each of one or several steps.
+    """Spikes and states of a network over n flights of T samples, a step each.
 
     Neurons stand in a row, encoding, hidden, outputs.
     """
@@ -29,8 +29,6 @@ class Activity:
     """0 or 1, (n, steps, neurons)."""
     active: NDArray[np.int64]
     """Steps in which a neuron had anything to update: a current, a potential or a bias, (n, neurons)."""
-    active_currents: NDArray[np.int64]
-    """Steps in which an after-spike current, which has a compartment of its own, was not 0, (n, neurons)."""
     estimate: Array
     """Roll and pitch after each sample, (n, T, 2) [rad]; of a controller its outputs, (n, T, 3) [rad/s²]."""
 
@@ -62,20 +60,17 @@ def record(core: OnLoihi, gyro: Array, accel: Array, set_points: Array | None = 
     n, samples, _ = np.shape(gyro)
     more = np.zeros((n, samples, 0)) if set_points is None else set_points
     by_sample = [np.array(np.swapaxes(each, 0, 1), np.float64, order="C") for each in (gyro, accel, more)]
-    first, neurons, steps = core.sizes[0], sum(core.sizes), samples * core.steps
-    spikes = np.zeros((n, steps, neurons), np.int8)
-    active, active_currents = np.zeros((2, n, neurons), np.int64)
+    first, neurons = core.sizes[0], sum(core.sizes)
+    spikes, active = np.zeros((n, samples, neurons), np.int8), np.zeros((n, neurons), np.int64)
     outputs, numbers = np.empty((samples, n, core.outputs)), zero_states(core, n)
-    state, one_step = numbers.view(core.state)[:, 0], core.stepping(1)
-    for k in range(steps):
-        signals = (each[k // core.steps] for each in by_sample)
-        core.kernel(*signals, *one_step, numbers, outputs[k // core.steps])
+    state = numbers.view(core.state)[:, 0]
+    for k in range(samples):
+        core.kernel(*(each[k] for each in by_sample), *core.arrays, numbers, outputs[k])
         spikes[:, k] = core.spikes(state)
         used = state["v"] != 0
         used[:, :first] |= np.abs(state["current"]) >= 1 << BIAS_EXP
-        used[:, first:] |= (state["u"] != 0) | (state["a"] != 0)
+        used[:, first:] |= state["u"] != 0
         active += used
-        active_currents[:, first:] += state["a"] != 0
     answers = outputs.swapaxes(0, 1)
     estimate = roll_pitch_of_outputs(answers) if set_points is None else answers
-    return Activity(core.sizes, spikes, active, active_currents, estimate)
+    return Activity(core.sizes, spikes, active, estimate)

@@ -37,13 +37,12 @@ PAPER_MEASURED = {"µJ": 13.2, "µs": 10.0}
 def host_operations(config: NetworkConfig) -> dict[str, int]:
     """Multiplications, each with an addition, of the host for one sample (`encode_sample` and `drive`).
 
-    Each of six readings takes a subtraction and a multiplication, as does a controller's set-point. In each
-    step of the network the current of each encoding neuron takes a product for each input, their sums, and a
-    multiplication and an addition for its decay. Comparisons and shifts are not counted.
+    Each of six readings takes a subtraction and a multiplication, as does a controller's set-point. The
+    current of each encoding neuron takes a product for each input, their sums, and a multiplication and an
+    addition for its decay. Comparisons and shifts are not counted.
     """
     inputs = config.n_inputs
-    currents = (inputs + 1) * config.encoding * config.steps_per_sample
-    return {"scaled readings": inputs, "currents of the encoding layer": currents}
+    return {"scaled readings": inputs, "currents of the encoding layer": (inputs + 1) * config.encoding}
 
 
 @dataclass(frozen=True)
@@ -68,12 +67,11 @@ def counts(core: OnLoihi, activity: Activity) -> dict[str, float]:
     """Operations per step on the chip, mean over the flights.
 
     A spike causes one synaptic event for each of its synapses (weights of zero are not stored), and one
-    message to each core that holds any of them. A neuron with an after-spike current has two compartments to
-    update. Messages travel between tiles of four cores in a row.
+    message to each core that holds any of them. Messages travel between tiles of four cores in a row.
     """
     spikes = activity.spikes.sum(axis=(0, 1)) / activity.steps
     updates = float(sum(placed.used()["compartments"] for placed in core.cores))
-    active = float((activity.active.sum() + activity.active_currents.sum()) / activity.steps)
+    active = float(activity.active.sum() / activity.steps)
     fan_out = synapses(core.cores, sum(activity.sizes))
     home = _homes(core)
     tile = np.arange(len(core.cores)) // CORES_PER_TILE
@@ -101,24 +99,20 @@ def costs(counted: dict[str, float]) -> list[Cost]:
     ]
 
 
-def snn_flops(
-    encoding: int, hidden: int, spikes: tuple[float, float], outputs: int = 2, after_spike: bool = False
-) -> dict[str, float]:
+def snn_flops(encoding: int, hidden: int, spikes: tuple[float, float], outputs: int = 2) -> dict[str, float]:
     """Floating-point operations of one update of the spiking network.
 
     The encoder multiplies six inputs; a spike adds one row of weights; every neuron decays and adds twice and
-    compares once, an output neuron does not compare; an after-spike current decays and adds twice. "dense" is
-    what it takes if no use is made of zeros.
+    compares once, an output neuron does not compare. "dense" is what it takes if no use is made of zeros.
 
     Args:
         encoding: Neurons of the encoding layer.
         hidden: Neurons of the hidden layer.
         spikes: Mean spikes per step of both layers.
         outputs: Leaky integrators.
-        after_spike: Whether hidden neurons have after-spike currents.
     """
     encoder = 2 * 6 * encoding
-    neurons = 5 * (encoding + hidden) + 4 * outputs + 3 * after_spike * hidden
+    neurons = 5 * (encoding + hidden) + 4 * outputs
     sparse = spikes[0] * hidden + spikes[1] * (hidden + outputs)
     dense = 2 * (encoding * hidden + hidden * hidden + hidden * outputs)
     return {"sparse": encoder + neurons + sparse, "dense": encoder + neurons + dense}

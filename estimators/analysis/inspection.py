@@ -72,8 +72,8 @@ class Inspection:
 
     def draw(self, folder: str | Path) -> None:
         """Write a raster, tuning curves and the ablation curve into a folder."""
-        rate_hz = self.config.rate_hz * self.config.steps_per_sample
-        save_figure(Path(folder) / "raster.png", raster_figure(self.activity, self.truth, rate_hz))
+        raster = raster_figure(self.activity, self.truth, self.config.rate_hz)
+        save_figure(Path(folder) / "raster.png", raster)
         save_figure(Path(folder) / "tuning.png", tuning_figure(self.activity, self.tuning))
         save_figure(Path(folder) / "ablation.png", ablation_figure(FRACTIONS, self.ablation))
 
@@ -120,10 +120,7 @@ def raster_figure(activity: Activity, truth: Array, rate_hz: float, start_s: flo
     time = np.arange(steps)[window] / rate_hz
     figure = Figure(figsize=(7.2, 6.4), layout="constrained")
     top, *below = figure.subplots(3, 1, sharex=True, height_ratios=(1, 2.4, 2.4))
-    shown, estimate = (
-        np.degrees(np.repeat(each, steps // len(truth), axis=0)[window])
-        for each in (truth, activity.estimate[0])
-    )
+    shown, estimate = (np.degrees(each[window]) for each in (truth, activity.estimate[0]))
     for axis, (name, colour) in enumerate(zip(("roll", "pitch"), COLOURS, strict=False)):
         top.plot(time, shown[:, axis], color=colour, lw=0.9, label=name)
         top.plot(time, estimate[:, axis], color=colour, lw=0.9, ls=":", label=f"{name}, estimated")

@@ -26,7 +26,7 @@ CALLS = 100
 """In a turn."""
 PAPER_US = {"Loihi (the chip)": 10.0, "SNN, PyTorch": 555.0, "GRU, PyTorch": 150.0}
 """What the paper measured, on other hardware [µs]."""
-PYTORCH = {"SNN, plain PyTorch": "att-snn-hummingbird", "GRU, PyTorch": "att-rnn-paper"}
+PYTORCH = {"SNN, plain PyTorch": "att-snn-paper", "GRU, PyTorch": "att-rnn-paper"}
 """What is timed beside the estimators, and which of them it computes."""
 
 Update = Callable[[NDArray[np.float64], NDArray[np.float64]], object]
@@ -39,23 +39,22 @@ class TorchSNN:
         self.config, tensors = load_network(PYTORCH["SNN, plain PyTorch"])
         self.weights = Weights(*(torch.tensor(w).float() for w in real_weights(self.config, tensors)))
         self.encoder, sizes = np.zeros(1, ENCODER), [len(w) for w in self.weights]
-        self.state = [torch.zeros(1, sizes[k]) for k in (0, 0, 0, 1, 1, 1, 1, 3, 3)]
+        self.state = [torch.zeros(1, sizes[k]) for k in (0, 0, 0, 1, 1, 1, 3, 3)]
 
     @torch.no_grad()
     def update(self, gyro: NDArray[np.float64], accel: NDArray[np.float64]) -> NDArray[np.floating]:
         """Roll and pitch (1, 2) [rad] after one sample."""
         inputs = scaled_inputs(self.config.inputs, gyro[:, None], accel[:, None], self.encoder)
         x, w = torch.from_numpy(inputs[:, 0].astype(np.float32)), self.weights
-        u0, v0, s0, u1, v1, s1, a1, u2, v2 = self.state
+        u0, v0, s0, u1, v1, s1, u2, v2 = self.state
         u2 = u2 * w.syn2 + s1 @ w.w_out.T
         v2 = v2 * w.mem2 + u2
-        a1 = a1 * w.syn_after + s1 * w.w_after[:, 0]
         u1 = u1 * w.syn1 + s0 @ w.w_ff.T + s1 @ w.w_rec.T
-        v1 = v1 * (1 - s1) * w.mem1 + u1 + a1
+        v1 = v1 * (1 - s1) * w.mem1 + u1
         u0 = u0 * w.syn0 + x @ w.w_in.T
         v0 = v0 * (1 - s0) * w.mem0 + u0
         s0, s1 = ((v > THRESHOLD).float() for v in (v0, v1))
-        self.state = [u0, v0, s0, u1, v1, s1, a1, u2, v2]
+        self.state = [u0, v0, s0, u1, v1, s1, u2, v2]
         return roll_pitch_of_outputs(v2.numpy() * self.config.output_scale)
 
 

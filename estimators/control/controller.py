@@ -1,6 +1,7 @@
 """A spiking network as attitude controller: set-points and readings to angular accelerations.
 
-It takes the place of the cascade's levels of attitude and body rate, see `quadsim.control.own`. As of an
+It takes the place of the cascade's levels of attitude and body rate, see `quadsim.control.own`, and has the
+body rate and any estimator's roll and pitch. As of an
 attitude network, the host scales inputs and outputs and no more; its memory is the last valid inputs.
 
 Inputs are bounded and so are outputs. A set-point is clipped to the limits of the file's `SetPointScaling`;
@@ -89,7 +90,7 @@ class SpikingController(BatchedNetwork):
     def __init__(self, config: NetworkConfig, tensors: Tensors, on_loihi: bool = False) -> None:
         if config.set_point is None:
             raise ValueError("these weights are an attitude estimator's, a controller needs a controller's")
-        self.scaling, self.reads = config.set_point, config.reads
+        self.scaling = config.set_point
         self.core: Spiking
         super().__init__((OnLoihi if on_loihi else Spiking)(config, tensors), config.rate_hz)
         self.reset(1)
@@ -103,40 +104,37 @@ class SpikingController(BatchedNetwork):
         """Start some of the vehicles again."""
         self._set_point[self._begin_again(ids)] = LEVEL
 
-    def update(self, set_point: Array, gyro: Array, accel: Array, roll_pitch: Array | None = None) -> Array:
+    def update(self, set_point: Array, gyro: Array, accel: Array, roll_pitch: Array) -> Array:
         """What to ask of the rotors now.
 
         Args:
             set_point: (n, 4) roll, pitch [rad], yaw rate [rad/s] and collective thrust per mass [m/s²].
             gyro: (n, 3) measured body rate [rad/s].
-            accel: (n, 3) measured specific force [m/s²].
-            roll_pitch: (n, 2) estimated roll and pitch [rad], for a network that reads an attitude; others
-                estimate it themselves.
+            accel: (n, 3) measured specific force [m/s²]; not used.
+            roll_pitch: (n, 2) estimated roll and pitch [rad].
 
         Returns:
             (n, 4) angular acceleration, body axes [rad/s²], and collective thrust per mass [m/s²].
         """
-        if self.reads == "attitude":
-            if roll_pitch is None:
-                raise ValueError("this controller reads an attitude: roll_pitch is required")
-            known, n = np.asarray(roll_pitch, np.float64), len(self._states)
-            if known.shape != (n, 2):
-                raise ValueError(f"roll_pitch: shape {known.shape}, should be ({n}, 2)")
-            accel = gravity_of(known)
-        wanted, rate, force = (np.asarray(each, np.float64)[:, None] for each in (set_point, gyro, accel))
-        return self.sequence(wanted, rate, force)[:, 0]
+        known, n = np.asarray(roll_pitch, np.float64), len(self._states)
+        if known.shape != (n, 2):
+            raise ValueError(f"roll_pitch: shape {known.shape}, should be ({n}, 2)")
+        signals = set_point, gyro, gravity_of(known)
+        wanted, rate, gravity = (np.asarray(each, np.float64)[:, None] for each in signals)
+        return self.sequence(wanted, rate, gravity)[:, 0]
 
-    def sequence(self, set_point: ArrayLike, gyro: ArrayLike, accel: ArrayLike) -> Array:
-        """T samples, (n, T, 4), (n, T, 3) and (n, T, 3): as T calls of `update`, (n, T, 4).
+    def sequence(self, set_point: ArrayLike, gyro: ArrayLike, gravity: ArrayLike) -> Array:
+        """T samples as T calls of `update`: (n, T, 4), (n, T, 3), and `gravity_of` an attitude (n, T, 3).
 
-        A controller that reads an attitude has `gravity_of` it for `accel`.
+        Returns:
+            (n, T, 4).
         """
         wanted, rate = np.asarray(set_point, np.float64), np.asarray(gyro, np.float64)
         shape = len(self._states), rate.shape[1] if rate.ndim == 3 else 0, 4
         if wanted.shape != shape:
             raise ValueError(f"set_point: shape {wanted.shape}, should be {shape}")
         found = follow(self.scaling, wanted, self._set_point)
-        out = self.outputs(rate, accel, found.inputs)
+        out = self.outputs(rate, gravity, found.inputs)
         bound = self.scaling.bound
         return np.concatenate([out.clip(-bound, bound), found.followed[..., SET_POINTS:]], -1)
 

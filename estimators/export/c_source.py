@@ -1,6 +1,6 @@
 """Spiking networks as C99 for a microcontroller: header and source, the emulator's numbers to the last bit.
 
-Estimators and controllers are the same code; a controller on an estimator's spikes is one network, one state.
+Estimators and controllers are the same code.
 """
 
 from __future__ import annotations
@@ -27,37 +27,20 @@ Ints = NDArray[np.int64]
 
 ESTIMATOR, CONTROLLER = "att_snn", "snn_control"
 """Names of the files, and what the names in them begin with."""
-ESTIMATES = {
-    "title": "Att-SNN, a spiking network that estimates $task from an IMU",
-    "read": "attitude",
-    "and_set_point": "",
-    "and_set_points": "",
-    "with_set_point": "",
-}
 WORDS = {
     "roll-pitch": {
-        **ESTIMATES,
-        "name": "roll_pitch",
-        "task": "roll and pitch",
-        "what": "Roll and pitch [rad]",
+        "title": "Att-SNN, a spiking network that estimates roll and pitch from an IMU",
+        "read": "attitude",
+        "and_set_point": "",
+        "and_set_points": "",
+        "with_set_point": "",
         "unit": "radians",
         "UNIT": "RADIAN",
         "quantity": "roll or pitch in radians",
-        "level": "",
-    },
-    "up": {
-        **ESTIMATES,
-        "name": "up",
-        "task": "the world's up",
-        "what": "The world's up in body axes, not of length 1: roll is atan2(up[1], up[2]),\n"
-        " * pitch atan2(-up[0], sqrt(up[1] * up[1] + up[2] * up[2])),",
-        "unit": "parts of a unit vector",
-        "UNIT": "ONE",
-        "quantity": "a component of up less that of a level attitude, (0, 0, 1)",
-        "level": " + (k == 2)",
     },
     "angular-acceleration": {
-        "title": "A spiking network that controls the attitude of a quadrotor from $sensors",
+        "title": "A spiking network that controls the attitude of a quadrotor from set-points, a gyroscope "
+        "and an estimate of roll and pitch",
         "read": "action",
         "and_set_point": " and set_point",
         "and_set_points": ", and set-points",
@@ -68,12 +51,7 @@ WORDS = {
     },
 }
 """What the templates call the outputs."""
-SENSORS = {
-    "imu": "set-points and an IMU",
-    "attitude": "set-points, a gyroscope and an estimate of roll and pitch",
-}
-"""Inputs of a controller."""
-SECTION = re.compile(r"#if (AFTER_SPIKE|ESTIMATES|CONTROLS|READS_ATTITUDE)\n(.*?)#endif\n", re.DOTALL)
+SECTION = re.compile(r"#if (ESTIMATES|CONTROLS)\n(.*?)#endif\n", re.DOTALL)
 """Parts of the templates that not every network has."""
 BLOCK, BIASED = 16, 128
 """Hidden neurons that the C code sums up together, and what is added to their weights."""
@@ -90,13 +68,11 @@ def write_c(folder: str | Path, config: NetworkConfig, tensors: Tensors) -> None
     if not config.quantised or config.recurrent_delay != 1:
         raise ValueError("C99 needs quantised weights of att-snn with a recurrent delay of 1")
     name = CONTROLLER if config.controls else ESTIMATOR
-    words = WORDS[config.outputs]
-    words = words | {"title": Template(words["title"]).substitute(words, sensors=SENSORS[config.reads])}
     offset, gain = input_scaling(config.inputs)
     values = {
         "n": name,
         "N": name.upper(),
-        **words,
+        **WORDS[config.outputs],
         "encoding": config.encoding,
         "hidden": config.hidden,
         "parameters": parameters(tensors),
@@ -105,8 +81,6 @@ def write_c(folder: str | Path, config: NetworkConfig, tensors: Tensors) -> None
         "outputs": config.n_outputs,
         "units": round(STATE_ONE / config.output_scale),
         "scale": repr(config.output_scale / STATE_ONE),
-        "reads_attitude": int(config.reads == "attitude"),
-        "steps": config.steps_per_sample,
         "input_max": INPUT_MAX,
         "rate_max": RATE_MAX,
         "force_max": FORCE_MAX,
@@ -115,12 +89,7 @@ def write_c(folder: str | Path, config: NetworkConfig, tensors: Tensors) -> None
         **_set_points(config),
         **_integers(tensors),
     }
-    kept = {
-        "AFTER_SPIKE": config.after_spike,
-        "CONTROLS": config.controls,
-        "ESTIMATES": not config.controls,
-        "READS_ATTITUDE": config.reads == "attitude",
-    }
+    kept = {"CONTROLS": config.controls, "ESTIMATES": not config.controls}
     for end in ("h", "c"):
         text = (ASSETS / "c99" / f"network.{end}").read_text(encoding="utf-8")
         text = SECTION.sub(lambda found: found[2] if kept[found[1]] else "", text)
@@ -157,10 +126,7 @@ def _integers(tensors: Tensors) -> dict[str, str]:
     found["w_out"] = _braces(halves["w_out"].T)
     own = (_pairs(halves["w_in"]), keep["syn0"], keep["mem0"])
     encoders = (f"{{{u}, {v}, {_braces(w, hexadecimal=True)}}}" for w, u, v in zip(*own, strict=True))
-    hidden = [keep["syn1"], keep["mem1"]]
-    if "w_after" in halves:
-        hidden += [keep["syn_after"], halves["w_after"][:, 0] * units["w_after"]]
-    neurons = np.stack([*hidden, units["w_ff"], units["w_rec"]], 1)
+    neurons = np.stack([keep["syn1"], keep["mem1"], units["w_ff"], units["w_rec"]], 1)
     return found | {"encoders": "{\n" + ",\n".join(encoders) + "}", "neurons": _braces(neurons)}
 
 

@@ -7,9 +7,8 @@ are
 
     u[t] = (1 − STEP/tau_syn) u[t−1] + I[t],    v[t] = (1 − STEP/tau_mem) v[t−1] + u[t]
 
-with gains (`w_in`, `r`) that undo the STEP/tau on the inputs. The encoding layer is a `CubaLIF`. A hidden
-neuron has up to two currents, `current` and `after`: these are integrators in front of a `CubaLIF` whose own
-u is its input.
+with gains (`w_in`, `r`) that undo the STEP/tau on the inputs. The encoding layer is a `CubaLIF`. The current
+of a hidden neuron is an integrator in front of a `CubaLIF` whose own u is its input.
 
 Both tools deliver along a chain within a step and around a loop after one, so the hidden layer is one step
 ahead of the chip's, and the outputs two. snnTorch's importer takes the nodes in the order of their names, and
@@ -58,13 +57,12 @@ def write_nir(path: str | Path, config: NetworkConfig, tensors: Tensors) -> None
         w, whole = getattr(values, name), integers(mantissa=name)
         if whole:
             whole["exponent"] = exponents(tensors, name)
-        return _linear(np.diag(w[:, 0]) if name == "w_after" else w, whole)
+        return _linear(w, whole)
 
     def decay(name: str, size: int, key: str = "du") -> nir.Linear:
         return _linear(np.diag(np.broadcast_to(getattr(values, name), size)), integers(**{key: name}))
 
     hidden, outputs = config.hidden, config.n_outputs
-    after = ("after",) if config.after_spike else ()
     none = np.zeros(hidden)
     layers: dict[str, tuple[nir.NIRNode, tuple[str, ...]]] = {
         "input": (nir.Input({"input": np.array([config.n_inputs])}), ()),
@@ -73,16 +71,8 @@ def write_nir(path: str | Path, config: NetworkConfig, tensors: Tensors) -> None
         "w_ff": (weights("w_ff"), ("encoding",)),
         "current": (_linear(np.eye(hidden)), ("w_ff", "w_rec", "current_decay")),
         "current_decay": (decay("syn1", hidden), ("current",)),
-        "hidden": (_neurons(none, values.mem1, integers(dv="mem1")), ("current", *after)),
+        "hidden": (_neurons(none, values.mem1, integers(dv="mem1")), ("current",)),
         "w_rec": (weights("w_rec"), ("hidden",)),
-    }
-    if after:
-        layers |= {
-            "w_after": (weights("w_after"), ("hidden",)),
-            "after": (_linear(np.eye(hidden)), ("w_after", "after_decay")),
-            "after_decay": (decay("syn_after", hidden), ("after",)),
-        }
-    layers |= {
         "w_out": (weights("w_out"), ("hidden",)),
         "output_current": (_linear(np.eye(outputs)), ("w_out", "output_current_decay")),
         "output_current_decay": (decay("syn2", outputs), ("output_current",)),
@@ -121,12 +111,11 @@ def _about(config: NetworkConfig) -> dict:
     about = {
         "dt": STEP,
         "rate_hz": config.rate_hz,
-        "steps_per_sample": config.steps_per_sample,
         "input_offset": offset,
         "input_gain_1024": gain,
         "outputs": config.outputs,
         "output_scale": config.output_scale,
     }
     if config.set_point:
-        about |= {"set_point_gain_1024": set_point_gain(config.set_point), "reads": config.reads}
+        about |= {"set_point_gain_1024": set_point_gain(config.set_point)}
     return about | ({"vth": 128, "bias_exp": BIAS_EXP} if config.quantised else {})

@@ -1,4 +1,4 @@
-"""Att-RNN as an ONNX graph, from raw readings to roll and pitch or up, with its state in and out."""
+"""Att-RNN as an ONNX graph, from raw readings to roll and pitch, with its state in and out."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from quadsim.runs.files import write_whole
 
 from ..networks.encoder import INPUT_MAX, INPUT_ONE, input_scaling
-from ..networks.weights_file import LEVEL_UP, NetworkConfig, Tensors
+from ..networks.weights_file import NetworkConfig, Tensors
 
 GRAPH = """
 <ir_version: 9, opset_import: ["" : 17]>
 att_rnn (float[T, n, 3] gyro, float[T, n, 3] accel, float[1, n, {h0}] h0, float[1, n, {h1}] h1)
-=> (float[T, n, {size}] {output}, float[1, n, {h0}] h0_next, float[1, n, {h1}] h1_next)
+=> (float[T, n, 2] roll_pitch, float[1, n, {h0}] h0_next, float[1, n, {h1}] h1_next)
 {{
     readings = Concat <axis = 2> (gyro, accel)
     centred = Sub (readings, offset)
@@ -29,7 +29,7 @@ att_rnn (float[T, n, 3] gyro, float[T, n, 3] accel, float[1, n, {h0}] h0, float[
     directions1, h1_next = GRU <hidden_size = {h1}, linear_before_reset = 1> (y0, w1, r1, b1, "", h1)
     y1 = Squeeze (directions1, axis)
     product = MatMul (y1, w_out)
-    {output} = Add (product, b_out)
+    roll_pitch = Add (product, b_out)
 }}
 """
 """In ONNX's own syntax."""
@@ -38,12 +38,10 @@ att_rnn (float[T, n, 3] gyro, float[T, n, 3] accel, float[1, n, {h0}] h0, float[
 def write_onnx(path: str | Path, config: NetworkConfig, tensors: Tensors) -> None:
     """Write the graph: `gyro`, `accel` (T, n, 3), `h0`, `h1` (1, n, units) in, `roll_pitch` (T, n, 2) out.
 
-    A network that estimates up has `up` (T, n, 3) in place of `roll_pitch`, not scaled to length 1.
     `h0_next`, `h1_next` are the states after the last sample, zero before the first. There is no bridge for
     missing samples: all readings have to be finite.
     """
     offset, gain = input_scaling(config.inputs)
-    level = LEVEL_UP if config.outputs == "up" else 0.0
     constants = {
         "offset": offset,
         "gain": gain,
@@ -53,15 +51,9 @@ def write_onnx(path: str | Path, config: NetworkConfig, tensors: Tensors) -> Non
         **_gru(tensors, 0),
         **_gru(tensors, 1),
         "w_out": tensors["out.weight"].T * config.output_scale,
-        "b_out": tensors["out.bias"] * config.output_scale + level,
+        "b_out": tensors["out.bias"] * config.output_scale,
     }
-    text = GRAPH.format(
-        h0=config.encoding,
-        h1=config.hidden,
-        size=config.n_outputs,
-        output=config.outputs.replace("-", "_"),
-    )
-    model = onnx.parser.parse_model(text)
+    model = onnx.parser.parse_model(GRAPH.format(h0=config.encoding, h1=config.hidden))
     arrays = {name: np.asarray(value, np.float32) for name, value in constants.items()}
     arrays["axis"] = np.array([1])
     model.graph.initializer.extend(onnx.numpy_helper.from_array(each, name) for name, each in arrays.items())

@@ -4,9 +4,8 @@ A chip has 128 cores. The limits of one: 1024 compartments, 128 KiB of synaptic 
 fan-out axons (Davies et al. 2018); 32 decay profiles, 16 thresholds and 16 synaptic formats, one for each
 exponent of weights (registers, as in nengo-loihi).
 
-A neuron with an after-spike current takes a second compartment, whose membrane is not used. A decay that a
-compartment does not use, that or the current's of one that no spike enters, may be any: compartments that use
-one decay each share a profile.
+A neuron takes a compartment. The current's decay of one that no spike enters may be any: it shares a profile
+with any neuron of its membrane's decay.
 """
 
 from __future__ import annotations
@@ -19,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .layers import WEIGHT_EXP_MIN, LoihiLayer
-from .neurons import VTH_MAX
 
 Ints = NDArray[np.int64]
 
@@ -37,16 +35,16 @@ LIMITS = {
 _WEIGHT_BITS, _HEADER_BITS, _BLOCK, _WORD_BITS = 8, 10, 64, 64
 _INDEX_BITS = (6, 7, 8, 9, 10)
 ANY = -1
-"""A decay that a compartment does not use."""
+"""A current's decay that a compartment does not use."""
 
 
 class Neuron(NamedTuple):
     """What a neuron takes on a core."""
 
-    profiles: frozenset[tuple[int, int]]
-    """(du, dv) of each of its compartments."""
-    thresholds: frozenset[int]
-    """Mantissas of theirs."""
+    profile: tuple[int, int]
+    """(du, dv)."""
+    threshold: int
+    """Its mantissa."""
     synapses: tuple[Ints, Ints]
     """Formats, counted by -exponent, and sources of the spikes that enter it."""
 
@@ -91,9 +89,9 @@ class ChipCore:
         core = ChipCore(
             self.sources,
             {**self.neurons, layer: [*self.neurons.get(layer, ()), number]},
-            self.profiles | neuron.profiles,
-            self.thresholds | neuron.thresholds,
-            self.compartments + len(neuron.profiles),
+            self.profiles | {neuron.profile},
+            self.thresholds | {neuron.threshold},
+            self.compartments + 1,
         )
         core.synapses = self.synapses.copy()
         np.add.at(core.synapses, neuron.synapses, 1)
@@ -101,12 +99,10 @@ class ChipCore:
 
 
 def distinct_profiles(profiles: Iterable[tuple[int, int]]) -> int:
-    """Fewest decay profiles that serve these (du, dv), where `ANY` stands for a decay that is not used."""
+    """Fewest decay profiles that serve these (du, dv); `ANY`: a current's decay that is not used."""
     every = set(profiles)
     whole = {each for each in every if ANY not in each}
-    currents = {du for du, dv in every if dv == ANY} - {du for du, _ in whole}
-    membranes = {dv for du, dv in every if du == ANY} - {dv for _, dv in whole}
-    return len(whole) + max(len(currents), len(membranes))
+    return len(whole) + len({dv for du, dv in every if du == ANY} - {dv for _, dv in whole})
 
 
 def synaptic_bits(synapses: Ints, compartments: int) -> int:
@@ -185,17 +181,11 @@ def decay_profiles(layer: LoihiLayer) -> Ints:
 def _neurons(layer: LoihiLayer, start: int) -> list[Neuron]:
     """What each neuron of a layer takes; `start` is the source that the first of them is."""
     w_rec = np.zeros((len(layer.w_in), 0)) if layer.w_rec is None else layer.w_rec
-    formats = -np.stack([layer.exp_in, layer.exp_rec, layer.exp_after], 1)
+    formats = -np.stack([layer.exp_in, layer.exp_rec], 1)
     neurons = []
     for i, (du, dv) in enumerate(decay_profiles(layer)):
-        profiles, thresholds = {(int(du), int(dv))}, {int(layer.vth[i])}
-        own = []
-        if layer.w_after[i]:
-            profiles.add((int(layer.d_after[i]), ANY))
-            thresholds.add(VTH_MAX)
-            own = [start + i]
         below = np.flatnonzero(layer.w_in[i]) + start - layer.w_in.shape[1]
-        entering = [below, np.flatnonzero(w_rec[i]) + start, np.array(own, np.int64)]
+        entering = [below, np.flatnonzero(w_rec[i]) + start]
         synapses = np.repeat(formats[i], list(map(len, entering))), np.concatenate(entering)
-        neurons.append(Neuron(frozenset(profiles), frozenset(thresholds), synapses))
+        neurons.append(Neuron((int(du), int(dv)), int(layer.vth[i]), synapses))
     return neurons

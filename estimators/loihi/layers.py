@@ -35,10 +35,6 @@ class LoihiLayer:
         bias_exp: Exponent of the bias, 0...7.
         exp_in: Exponent of the weights `w_in` into each neuron, -6...0.
         exp_rec: The same of `w_rec`.
-        w_after: Mantissas of the weights of the neurons on their own after-spike currents; 0: no such
-            current.
-        d_after: Effective decay of these currents, 0...4096.
-        exp_after: Exponent of `w_after`, -6...0.
 
     Raises:
         ValueError: A shape that does not fit, or a value that the chip cannot hold.
@@ -56,9 +52,6 @@ class LoihiLayer:
         *,
         exp_in: ArrayLike = 0,
         exp_rec: ArrayLike = 0,
-        w_after: ArrayLike = 0,
-        d_after: ArrayLike = DECAY_ONE,
-        exp_after: ArrayLike = 0,
     ) -> None:
         weights = w_rec if w_in is None else w_in
         size = max(map(np.size, (du, dv, bias_mant))) if weights is None else len(np.asarray(weights))
@@ -71,10 +64,6 @@ class LoihiLayer:
         self.bias_exp = _vector("bias_exp", bias_exp, size, 0, BIAS_EXP_MAX)
         self.exp_in = _vector("exp_in", exp_in, size, WEIGHT_EXP_MIN, 0)
         self.exp_rec = _vector("exp_rec", exp_rec, size, WEIGHT_EXP_MIN, 0)
-        own = np.broadcast_to(np.asarray(w_after), size)
-        self.w_after = _weights("w_after", own[:, None], (size, 1))[:, 0]
-        self.d_after = _vector("d_after", d_after, size, 0, DECAY_ONE)
-        self.exp_after = _vector("exp_after", exp_after, size, WEIGHT_EXP_MIN, 0)
 
 
 class LoihiNetwork:
@@ -108,7 +97,7 @@ class LoihiNetwork:
     def reset(self, n: int = 1) -> None:
         """Set the currents, potentials and spikes of `n` independent copies to zero."""
         inputs, targets = self._edges[1], self._edges[-1] - self._edges[1]
-        self._state = NeuronState(*(np.zeros((n, k), np.int32) for k in (inputs, targets, targets, targets)))
+        self._state = NeuronState(*(np.zeros((n, k), np.int32) for k in (inputs, targets, targets)))
 
     def step(
         self, spikes_in: ArrayLike | None = None, bias_mant: ArrayLike | None = None
@@ -168,11 +157,11 @@ class LoihiNetwork:
 
 
 def _packed(layers: Sequence[LoihiLayer], edges: Ints) -> tuple[NDArray[np.int16], Int32s]:
-    """Weights (1, sources, targets) and the rows of a table (6, sources), as `neurons_of` takes them."""
+    """Weights (1, sources, targets) and the rows of a table (4, sources), as `neurons_of` takes them."""
     inputs = edges[1]
     weights = np.zeros((1, edges[-1], edges[-1] - inputs), np.int16)
-    table = np.zeros((6, edges[-1]), np.int32)
-    table[[0, 1, 5], :inputs] = DECAY_ONE
+    table = np.zeros((4, edges[-1]), np.int32)
+    table[:2, :inputs] = DECAY_ONE
     for k, layer in enumerate(layers, 1):
         below = slice(edges[k - 1], edges[k])
         own = slice(edges[k], edges[k + 1])
@@ -186,20 +175,18 @@ def _packed(layers: Sequence[LoihiLayer], edges: Ints) -> tuple[NDArray[np.int16
             layer.dv,
             layer.vth << VTH_EXP,
             layer.bias_mant << layer.bias_exp,
-            layer.w_after << (VTH_EXP + layer.exp_after),
-            layer.d_after,
         ]
     return weights, table
 
 
 @njit(cache=True)
 def _step_all(weights, tables, drive, states):
-    """One step of all copies: tables (n, 6, sources), drive (n, in), states in rows."""
+    """One step of all copies: tables (n, 4, sources), drive (n, in), states in rows."""
     spikes = np.empty(weights.shape[1] + 2, np.int32)
     sums = np.zeros(weights.shape[2], np.int32)
     for n in range(drive.shape[0]):
         neurons = neurons_of(weights, drive.shape[1], tables[n])
-        copy = NeuronState(states.first_v[n], states.u[n], states.v[n], states.a[n])
+        copy = NeuronState(states.first_v[n], states.u[n], states.v[n])
         list_spikes(neurons, copy.first_v, copy.v, spikes)
         step(neurons, drive[n], copy, spikes, spikes, sums)
 

@@ -5,15 +5,11 @@ and nothing is rounded or clipped. On the chip all is integer and 1.0 is 2^14 st
 
     D(x, d)  = sign(x) ((|x| (4096 - d)) >> 12)
     u[t] = wrap23( D(u[t-1], du) + wrap21( Σ W s[t-1] 2^(6 + e) ) )
-    a[t] = wrap23( D(a[t-1], d_after) + w_after s[t-1] 2^(6 + e) )
-    v[t] = clip( D(v[t-1], dv) + u[t] + a[t] + (bias_mant << bias_exp), ±(2^23 - 1) )
+    v[t] = clip( D(v[t-1], dv) + u[t] + (bias_mant << bias_exp), ±(2^23 - 1) )
     s[t] = v[t] > (vth << 6);  v[t] = 0 where s[t]
 
-W and w_after are mantissas, e the exponents of their synaptic formats. Every connection, recurrent or not,
-delivers after exactly one step; a bias acts within its step. An after-spike current a is that of a second
-compartment, which the neuron alone has a synapse on and which never spikes; the soma adds its current (an ADD
-join). With a negative weight it is spike-frequency adaptation, with a positive one it holds activity up
-(Teeter et al. 2018, "Generalized leaky integrate-and-fire models classify multiple neuron types").
+W are mantissas, e the exponents of their synaptic formats. Every connection, recurrent or not, delivers after
+exactly one step; a bias acts within its step.
 Davies et al., "Loihi: a neuromorphic manycore processor with on-chip learning", IEEE Micro 38 (2018).
 """
 
@@ -57,8 +53,6 @@ class Neurons(NamedTuple):
     dv: Numbers  #: decays of their potentials
     vth: Numbers  #: thresholds
     bias: Numbers  #: biases
-    w_after: Numbers  #: weights on their after-spike currents; (0,) where none has any
-    d_after: Numbers  #: decays of these currents
 
 
 class NeuronState(NamedTuple):
@@ -67,17 +61,14 @@ class NeuronState(NamedTuple):
     first_v: Numbers  #: potentials of the first neurons, (first,)
     u: Numbers  #: currents of the targets, (targets,)
     v: Numbers  #: their potentials
-    a: Numbers  #: their after-spike currents
 
 
 @njit(inline="always")
 def neurons_of(weights, first, table):
-    """`Neurons` of weights (1 or 2, sources, targets) and the 4 or 6 rows of a table (.., neurons)."""
-    after, delayed = table.shape[0] > 4, weights.shape[0] > 1
-    w_after, d_after = (table[4, first:], table[5, first:]) if after else (table[0, :0], table[0, :0])
-    later = weights[1] if delayed else weights[0, :0, :0]
+    """`Neurons` of weights (1 or 2, sources, targets) and the rows of a table (4, neurons)."""
+    later = weights[1] if weights.shape[0] > 1 else weights[0, :0, :0]
     du, dv, vth, bias = table[0, first:], table[1, first:], table[2, first:], table[3, first:]
-    return Neurons(weights[0], later, table[1, :first], table[2, :first], du, dv, vth, bias, w_after, d_after)
+    return Neurons(weights[0], later, table[1, :first], table[2, :first], du, dv, vth, bias)
 
 
 @njit(inline="always")
@@ -121,18 +112,16 @@ def step(neurons, drive, state, spikes, before, sums):
         before: The same of the step before that one; read where weights deliver after two steps.
         sums: Zeros, int32 or as the weights, (targets,), to add in; zeros again afterwards.
     """
-    first_v, u, v, a = state
+    first_v, u, v = state
     _deliver(neurons.weights, spikes, sums)
     if neurons.later.size:
         _deliver(neurons.later, before, sums)
     for j in range(first_v.size):
         first_v[j] = _potential(first_v[j], neurons.first_dv[j], neurons.first_vth[j], drive[j])
-    for j in range(neurons.w_after.size):
-        a[j] = _current(a[j], neurons.d_after[j], neurons.w_after[j] * (v[j] > neurons.vth[j]))
     for j in range(u.size):
         current = _current(u[j], neurons.du[j], sums[j])
         u[j], sums[j] = current, 0
-        v[j] = _potential(v[j], neurons.dv[j], neurons.vth[j], current + a[j] + neurons.bias[j])
+        v[j] = _potential(v[j], neurons.dv[j], neurons.vth[j], current + neurons.bias[j])
 
 
 # --- the arithmetic, of integers and of floats ------------------------------------------------------

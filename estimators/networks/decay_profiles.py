@@ -15,9 +15,8 @@ def share_profiles(tensors: Tensors, profiles: int = 32, seed: int = 0) -> Tenso
     """The weights of a quantised Att-SNN with at most so many distinct (du, dv) on the chip.
 
     Time constants are grouped by their logarithms (k-means, 20 starts). The encoding layer's currents live on
-    the host, so it needs profiles for its membranes alone, and after-spike currents, whose compartments need
-    no membrane, share these; the outputs need one. What is left is divided between the two layers so that the
-    logarithms move least.
+    the host, so it needs profiles for its membranes alone; the outputs need one. What is left is divided
+    between the two layers so that the logarithms move least.
 
     Args:
         tensors: Weights with `syn`, `mem` as the chip's decays.
@@ -32,18 +31,15 @@ def share_profiles(tensors: Tensors, profiles: int = 32, seed: int = 0) -> Tenso
     left = profiles - 1
     encoding = np.log(tensors["mem0"].astype(np.float64))[:, None]
     hidden = np.log(np.stack([tensors["syn1"], tensors["mem1"]], 1).astype(np.float64))
-    after = np.log(tensors.get("syn_after", np.ones(1)).astype(np.float64))[:, None]
-    trained = (encoding, hidden, after)
+    trained = (encoding, hidden)
     best, least = trained, np.inf
     for first in range(1, left):
-        groups = zip(trained, (first, left - first, first), strict=True)
+        groups = zip(trained, (first, left - first), strict=True)
         moved = [_grouped(x, k, seed) for x, k in groups]
         cost = sum(float(np.sum((a - b) ** 2)) for a, b in zip(moved, trained, strict=True))
         if cost < least:
-            best, least = (moved[0], moved[1], moved[2]), cost
+            best, least = (moved[0], moved[1]), cost
     decays = {"mem0": best[0][:, 0], "syn1": best[1][:, 0], "mem1": best[1][:, 1]}
-    if "syn_after" in tensors:
-        decays["syn_after"] = best[2][:, 0]
     return tensors | {name: np.rint(np.exp(x)).astype(np.int16) for name, x in decays.items()}
 
 

@@ -1,6 +1,6 @@
-"""Att-SNN, compiled: 6 inputs -> LIF -> recurrent LIF -> 2 or 3 leaky integrators (LI).
+"""Att-SNN, compiled: 6 inputs -> LIF -> recurrent LIF -> 2 leaky integrators (LI).
 
-A controller is the same network with 9 inputs: set-points follow the readings.
+A controller is the same network with 9 inputs and 3 outputs: set-points follow the readings.
 
 The step of all neurons is `estimators.loihi.neurons.step`: a quantised network runs in the integers of the
 chip, others in floats. The encoding layer's current is the host's; the input of the same step drives it:
@@ -53,18 +53,15 @@ class Weights(NamedTuple, Generic[Values]):
     w_ff: Values  #: encoding to hidden layer, shape (h1, h0)
     w_rec: Values  #: recurrent weights, shape (h1, h1)
     w_out: Values  #: hidden layer to outputs, shape (outputs, h1)
-    w_after: Values
-    """Hidden neurons to their own after-spike currents, shape (h1, 1); (h1, 0) in a network without."""
     syn0: Values  #: τ_syn of the encoding layer, shape (h0,)
     mem0: Values  #: τ_mem of the encoding layer, shape (h0,)
     syn1: Values  #: τ_syn of the hidden layer, shape (h1,)
     mem1: Values  #: τ_mem of the hidden layer, shape (h1,)
     syn2: Values  #: τ_syn of the outputs, shape (1,)
     mem2: Values  #: τ_mem of the outputs, shape (1,)
-    syn_after: Values  #: τ_after of the hidden layer, shape (h1,), or (0,) without after-spike currents
 
 
-MATRICES, TIME_CONSTANTS = Weights._fields[:5], Weights._fields[5:]
+MATRICES, TIME_CONSTANTS = Weights._fields[:4], Weights._fields[4:]
 
 
 class PackedWeights(NamedTuple):
@@ -78,8 +75,6 @@ class PackedWeights(NamedTuple):
 
 def real_weights(config: NetworkConfig, tensors: Tensors) -> Weights[Array]:
     """Weights and time constants of a spiking network in units of 1.0."""
-    none = {"w_after": np.zeros((config.hidden, 0)), "syn_after": np.zeros(0)}
-    tensors = none | tensors
     values = {name: tensors[name].astype(np.float64) for name in Weights._fields}
     if config.quantised:
         for name in MATRICES:
@@ -96,21 +91,18 @@ def packed(w: Weights[Any], quantised: bool, recurrent_delay: int = 1) -> Packed
     syn2, mem2 = (np.repeat(tau, outputs) for tau in (w.syn2, w.mem2))
     taus = [np.concatenate([w.syn0, w.syn1, syn2]), np.concatenate([w.mem0, w.mem1, mem2])]
     threshold = np.repeat([THRESHOLD, np.inf], (h0 + h1, outputs))
-    own = w.w_after[:, 0] if w.w_after.size else np.zeros(0)
-    beside = (h0, outputs) if own.size else 0
-    w_after, tau_after = (np.pad(each.astype(np.float64), beside) for each in (own, w.syn_after))
     if quantised:  # the chip has no higher threshold; an output that gets there all the same is reset
         threshold = np.minimum(threshold * STATE_ONE, VTH_MAX << VTH_EXP)
-        rows = [*map(_decays, taus), threshold, 0 * threshold, w_after * STATE_ONE, _decays(tau_after)]
+        rows = [*map(_decays, taus), threshold, 0 * threshold]
         encoders = np.vstack([w.w_in.T * (STATE_ONE >> VTH_EXP), _decays(w.syn0)])
         return PackedWeights(_whole(encoders), _whole(rows), np.rint(weights * STATE_ONE).astype(np.int16))
-    rows = [*taus, threshold, np.zeros(threshold.size), w_after, tau_after]
+    rows = [*taus, threshold, np.zeros(threshold.size)]
     encoders = np.vstack([w.w_in.T.astype(np.float64) / INPUT_ONE, w.syn0])
     return PackedWeights(_table(encoders), _table(rows), weights)
 
 
 def _table(rows: Iterable[NDArray[np.floating]]) -> Array:
-    return np.array([row for row in rows if row.size], np.float64)
+    return np.array([*rows], np.float64)
 
 
 def _whole(rows: Iterable[NDArray[np.floating]]) -> NDArray[np.int32]:
@@ -127,22 +119,18 @@ class Spiking:
     def __init__(self, config: NetworkConfig, tensors: Tensors) -> None:
         """Lay the weights out for the kernel."""
         one = float(STATE_ONE) if config.quantised else 1.0
-        self.steps, self.scale = config.steps_per_sample, config.output_scale / one
         self.outputs = config.n_outputs
         weights = packed(real_weights(config, tensors), config.quantised, config.recurrent_delay)
         number = weights.table.dtype
         self.sizes = config.encoding, config.hidden, self.outputs
         n = sum(self.sizes)
         targets = config.hidden + self.outputs
-        kept = [("current", config.encoding), ("v", n), ("u", targets), ("a", targets)]
+        kept = [("current", config.encoding), ("v", n), ("u", targets)]
         kept += [("before", n)] * (config.recurrent_delay == 2)
         self.state = np.dtype([*encoder_fields(number), *((name, number, size) for name, size in kept)])
         self.scaling, self.weights = input_scaling(config.inputs), weights
-        self.arrays, self.kernel = self.stepping(self.steps), run_spiking
-
-    def stepping(self, steps: int) -> tuple[NDArray[Any], ...]:
-        """What the kernel takes for so many steps a sample."""
-        return np.array([*np.ravel(self.scaling), steps, self.scale]), *self.weights
+        settings = np.array([*np.ravel(self.scaling), config.output_scale / one])
+        self.arrays, self.kernel = (settings, *weights), run_spiking
 
     def spikes(self, states: NDArray[np.void]) -> NDArray[np.bool_]:
         """Which neurons spiked in the last step, from records (n,): (n, neurons)."""
@@ -157,18 +145,14 @@ def run_spiking(gyro, accel, set_points, settings, encoders, table, weights, sta
         gyro: Body rate, one sample after the other, shape (n, 3 T) [rad/s].
         accel: Specific force, the same shape [m/s²].
         set_points: A controller's further inputs, integers, shape (n, 3 T); of others not read.
-        settings: The scaling of the readings, (12,), steps a sample, and the unit of the outputs.
+        settings: The scaling of the readings, (12,), and the unit of the outputs.
         encoders: As the next two a part of `PackedWeights`.
         table: Of the neurons.
         weights: Between neurons.
         states: Numbers of records of `Spiking.state`, shape (n, words); changed.
         out: Outputs after each sample, shape (n, outputs T); written.
     """
-    scaling, steps, scale = (
-        Scaling(settings[:READINGS], settings[READINGS:12]),
-        int(settings[12]),
-        settings[13],
-    )
+    scaling, scale = Scaling(settings[:READINGS], settings[READINGS:12]), settings[12]
     inputs, h0 = encoders.shape[0] - 1, encoders.shape[1]
     neurons, number = neurons_of(weights, h0, table), table.dtype
     more, (_, sources, targets), hidden = inputs - READINGS, weights.shape, weights.shape[1] - h0
@@ -181,22 +165,20 @@ def run_spiking(gyro, accel, set_points, settings, encoders, table, weights, sta
     for c in range(states.shape[0]):
         kept = states[c]
         current, rest = kept[MISSING + 1 : MISSING + 1 + h0], kept[MISSING + 1 + h0 :]
-        potentials, targeted, before = rest[: h0 + targets], rest[h0 + targets :], rest[h0 + 3 * targets :]
-        u, a = targeted[:targets], targeted[targets : 2 * targets]
-        state = NeuronState(potentials[:h0], u, potentials[h0:], a)
+        potentials, before = rest[: h0 + targets], rest[h0 + 2 * targets :]
+        state = NeuronState(potentials[:h0], rest[h0 + targets : h0 + 2 * targets], potentials[h0:])
         for t in range(gyro.shape[1] // 3):
             encode_sample(gyro[c, 3 * t : 3 * t + 3], accel[c, 3 * t : 3 * t + 3], scaling, kept)
             for k in range(READINGS):
                 x[k] = kept[k]
             for k in range(more):
                 x[READINGS + k] = set_points[c, more * t + k]
-            for _ in range(steps):
-                list_spikes(neurons, state.first_v, state.v, spikes)
-                if before.size:
-                    list_spikes(neurons, before[:h0], before[h0:], earlier)
-                    before[:] = potentials
-                advance(x, encoders, current, bias, total)
-                step(neurons, bias, state, spikes, earlier, sums)
+            list_spikes(neurons, state.first_v, state.v, spikes)
+            if before.size:
+                list_spikes(neurons, before[:h0], before[h0:], earlier)
+                before[:] = potentials
+            advance(x, encoders, current, bias, total)
+            step(neurons, bias, state, spikes, earlier, sums)
             for o in range(targets - hidden):
                 v = state.v[hidden + o]
                 out[c, (targets - hidden) * t + o] = 0.0 if v > neurons.vth[hidden + o] else v * scale

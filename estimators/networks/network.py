@@ -20,10 +20,12 @@ from quadsim.rotation import roll_pitch_of_up
 from .forward import Spiking
 from .gru import Recurrent
 from .on_chip import OnLoihi
-from .weights_file import LEVEL_UP, SET_POINTS, NetworkConfig, Tensors, attitude_network
+from .weights_file import SET_POINTS, NetworkConfig, Tensors, attitude_network
 
 Array = NDArray[np.float64]
 NO_SET_POINTS = np.zeros((0, 0))
+LEVEL_UP = np.array([0.0, 0.0, 1.0])
+"""The world's up in body axes at a level attitude."""
 
 
 def create_network(name: str, rate_hz: float = 200.0, *, weights: str | Path) -> NetworkEstimator:
@@ -140,7 +142,7 @@ class NetworkEstimator(BatchedNetwork):
 
     up: Array | None
     """The world's up in body axes as estimated last, shape (n, 3), not scaled to length 1; that of a level
-    attitude before the first sample. None for a network whose outputs are roll and pitch."""
+    attitude before the first sample. None for a network of layers, whose outputs are roll and pitch."""
 
     def __init__(self, core: NetworkCore, rate_hz: float) -> None:
         """Start with one vehicle of unknown attitude."""

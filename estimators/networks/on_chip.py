@@ -6,7 +6,7 @@ import numpy as np
 
 from ..loihi.chip import partition
 from ..loihi.layers import LoihiLayer
-from ..loihi.neurons import DECAY_ONE, VTH_MAX
+from ..loihi.neurons import VTH_MAX
 from .forward import Spiking
 from .weights_file import NetworkConfig, Tensors, exponents
 
@@ -29,8 +29,7 @@ class OnLoihi(Spiking):
 
 def chip_layers(config: NetworkConfig, tensors: Tensors) -> list[LoihiLayer]:
     """The populations of a quantised network: encoding, hidden, outputs."""
-    none = {"w_after": np.zeros((config.hidden, 1)), "syn_after": np.full(config.hidden, DECAY_ONE)}
-    w = {name: value.astype(np.int64) for name, value in (none | tensors).items()}
+    w = {name: value.astype(np.int64) for name, value in tensors.items()}
     hidden = LoihiLayer(
         w_in=w["w_ff"],
         w_rec=w["w_rec"],
@@ -38,9 +37,6 @@ def chip_layers(config: NetworkConfig, tensors: Tensors) -> list[LoihiLayer]:
         dv=w["mem1"],
         exp_in=exponents(w, "w_ff"),
         exp_rec=exponents(w, "w_rec"),
-        w_after=w["w_after"][:, 0],
-        d_after=w["syn_after"],
-        exp_after=exponents(w, "w_after"),
     )
     outputs = LoihiLayer(w_in=w["w_out"], du=w["syn2"], dv=w["mem2"], vth=VTH_MAX)
     encoding = LoihiLayer(w_in=np.zeros((config.encoding, 0), np.int64), dv=w["mem0"])

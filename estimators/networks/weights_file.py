@@ -22,20 +22,15 @@ from ..loihi.layers import WEIGHT_EXP_MIN
 
 Tensors = dict[str, NDArray[Any]]
 END = ".safetensors"
-FORMAT = "2"
+FORMAT = "3"
 """Version of the files, in their metadata. Files of quadsim 0.1 have none."""
 
 
 ForceRange = Annotated[float, Between(1e-3, 1e4, "m/s²")]
 Neurons = Annotated[int, Between(1, 4096)]
 OutputScale = Annotated[float, Between(1e-6, 1e3, "rad")]
-StepsPerSample = Annotated[int, Between(1, 16)]
-Outputs = Literal["roll-pitch", "up"]
-"""Of an attitude estimator."""
-NetworkOutputs = Literal["roll-pitch", "up", "angular-acceleration"]
-"""Of any network; angular acceleration is a controller's."""
-Reads = Literal["imu", "attitude"]
-"""Gyroscope and accelerometer; or gyroscope and an estimate of roll and pitch."""
+Outputs = Literal["roll-pitch", "angular-acceleration"]
+"""Of an attitude estimator, or of a controller."""
 READINGS, SET_POINTS = 6, 3
 """Inputs of every network, gyroscope first; what a controller has besides: roll, pitch, yaw rate."""
 CONTROLLER = "control-"
@@ -51,24 +46,16 @@ AXES: dict[str, tuple[str, ...]] = {
     "mem1": ("hidden",),
     "syn2": ("one",),
     "mem2": ("one",),
-    "w_after": ("hidden", "one"),
-    "syn_after": ("hidden",),
 }
 """Tensors of Att-SNN, and what their rows and columns are. Weights begin with w_, time constants are those of
 currents (syn) and membranes (mem)."""
-AFTER_SPIKE = ("w_after", "syn_after")
-"""Those that only networks with after-spike currents have."""
-EXPONENTS = {"w_ff": "exp_ff", "w_rec": "exp_rec", "w_after": "exp_after"}
+EXPONENTS = {"w_ff": "exp_ff", "w_rec": "exp_rec"}
 """Exponents of the weights into each hidden neuron, int16 (h1,), by the name of the weights. A quantised
 network without them has exponents of 0."""
 DTYPES = {"I16": "int16", "F16": "float16", "F32": "float32", "F64": "float64"}
 """NumPy's names of a file's types of numbers."""
 CIRCUIT = "circuit-1"
 """Format of files that hold a circuit (`estimators.circuit.file`)."""
-OLD_READS = "controller"
-"""Where the metadata of earlier files have `reads`."""
-LEVEL_UP = np.array([0.0, 0.0, 1.0])
-"""The world's up in body axes at a level attitude."""
 
 
 class InputScaling(Strict):
@@ -115,20 +102,13 @@ class NetworkConfig(Strict):
     """Whole numbers in the chip's ranges (att-snn)."""
     recurrent_delay: Literal[1, 2] = 1
     """Steps from a hidden spike to the hidden layer; 1 is the chip's."""
-    after_spike: bool = False
-    """Whether hidden neurons have after-spike currents, `w_after` and `syn_after` (att-snn)."""
-    steps_per_sample: StepsPerSample = 1
-    """Network steps for each IMU sample."""
-    outputs: NetworkOutputs = "roll-pitch"
-    """Roll and pitch [rad], or the world's up in body axes less that of a level attitude, which is singular
-    nowhere and 0 of a silent network; of a controller angular acceleration, body axes [rad/s²]."""
+    outputs: Outputs = "roll-pitch"
+    """Roll and pitch [rad], or angular acceleration, body axes [rad/s²]."""
     output_scale: OutputScale = 1.0
-    """Radians, parts of the unit vector or rad/s² for an output potential of 1.0."""
+    """Radians or rad/s² for an output potential of 1.0."""
     set_point: SetPointScaling | None = None
-    """Inputs and bounds of a controller; None: an attitude estimator."""
-    reads: Reads = "imu"
-    """"attitude": a controller that has the direction of gravity that roll and pitch stand for, as a specific
-    force, where others have the accelerometer's."""
+    """Inputs and bounds of a controller, which has the direction of gravity that roll and pitch stand for, as
+    a specific force, in place of the accelerometer's; None: an attitude estimator."""
     training: dict[str, JsonValue] = Field(default_factory=dict)
     """Data, seed, epochs, commit, validation error."""
 
@@ -138,8 +118,6 @@ class NetworkConfig(Strict):
             raise ValueError("outputs: angular-acceleration and set_point go together, those of a controller")
         if self.controls and self.model != "att-snn":
             raise ValueError(f"model: {self.model}; a controller is a spiking network, att-snn")
-        if self.reads == "attitude" and not self.controls:
-            raise ValueError("reads: an attitude is what a controller reads, estimators read the imu")
         return self
 
     @property
@@ -168,8 +146,7 @@ def expected_shapes(config: NetworkConfig) -> dict[str, tuple[int, ...]]:
     h0, h1, out = config.encoding, config.hidden, config.n_outputs
     if config.model == "att-snn":
         sizes = {"inputs": config.n_inputs, "encoding": h0, "hidden": h1, "outputs": out, "one": 1}
-        names = [name for name in AXES if config.after_spike or name not in AFTER_SPIKE]
-        return {name: tuple(sizes[axis] for axis in AXES[name]) for name in names}
+        return {name: tuple(sizes[axis] for axis in axes) for name, axes in AXES.items()}
     shapes: dict[str, tuple[int, ...]] = {"out.weight": (out, h1), "out.bias": (out,)}
     for layer, (inputs, units) in enumerate(((6, h0), (h0, h1))):
         shapes |= {f"gru.weight_ih_l{layer}": (3 * units, inputs), f"gru.bias_ih_l{layer}": (3 * units,)}
@@ -208,7 +185,7 @@ def save_network(path: str | Path, config: NetworkConfig, tensors: Mapping[str, 
     _check_declared(path, config, {name: (v.shape, str(v.dtype)) for name, v in tensors.items()})
     _check_values(path, config, tensors)
     plain = {name: np.ascontiguousarray(value) for name, value in tensors.items()}
-    unused = None if config.controls else {"set_point", "reads"}
+    unused = None if config.controls else {"set_point"}
     metadata = {"format": FORMAT, "config": config.model_dump_json(exclude=unused)}
     write_whole(path, ordered(save(plain, metadata=metadata)))
 
@@ -296,9 +273,8 @@ def _config_of(path: Path, metadata: Mapping[str, str]) -> NetworkConfig:
             raise ValueError(f"{path}: a circuit, not a network of layers; of these ship {layered}")
         of = "of quadsim 0.1" if found is None else f"of format {found!r}"
         raise ValueError(f"{path}: weights {of}, this version of quadsim reads {FORMAT!r}; train them again")
-    own = json.loads(metadata["config"]) | json.loads(metadata.get(OLD_READS, "{}"))
     try:
-        return NetworkConfig.model_validate_json(json.dumps(own))
+        return NetworkConfig.model_validate_json(metadata["config"])
     except ValidationError as error:
         wrong = describe(error, NetworkConfig)
         raise ValueError(f"{path}: weights of another version of quadsim: {wrong}") from error

@@ -24,7 +24,7 @@ MARKS = ("o", "s", "^", "D", "v")
 DIAMOND: dict[str, Any] = {"marker": "D", "ls": "", "mfc": "white", "color": BLACK, "ms": 5}
 """How the paper's values are drawn."""
 DOMAIN_TITLES = {"sim": "Hummingbird, ADIS16448", "real": "px4-quad, Pixhawk 4 Mini"}
-SAME = {"att-snn, chip": "att-snn-loihi", "att-snn, ours": "att-snn-hummingbird"}
+SAME = {"att-snn, chip": "att-snn-loihi"}
 """Networks of the paper, and the estimator whose look they have."""
 
 

@@ -22,8 +22,7 @@ RESPONSES = {
     "intact": "untouched",
 }
 """The paper's four inputs of Fig. 8."""
-OWN = {"att-snn, chip": "Att-SNN (Loihi quantisation)", "att-snn, ours": "Att-SNN, our recipe"}
-OWN |= {label: label for label in SHIPPED}
+OWN = {"att-snn, chip": "Att-SNN (Loihi quantisation)"} | {label: label for label in SHIPPED}
 """Networks that are none of the paper's."""
 
 

@@ -44,7 +44,7 @@ def look(folder: Path, inputs: Inputs) -> Numbers:
     ]
     twin, _ = load_network(inputs[rnn] / WEIGHTS)
     spikes = float(rates[0].sum()), float(rates[1].sum())
-    flops = snn_flops(config.encoding, config.hidden, spikes, config.n_outputs, config.after_spike)
+    flops = snn_flops(config.encoding, config.hidden, spikes, config.n_outputs)
     return {
         "rates": [rate.round(5).tolist() for rate in rates],
         "without_rare": {

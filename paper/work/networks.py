@@ -1,4 +1,4 @@
-"""Stages of networks: trained by the paper's recipe, or by ours, until a rule ends it."""
+"""Stages of networks: trained by the paper's recipe, until a rule ends it."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -69,8 +69,7 @@ def train(
 
     The preset att-snn trains the spiking circuit that ships, for any IMU, from the equation of gravity in a
     turning frame; tune continues it on your own logs. Other presets train networks of layers: paper by the
-    paper's recipe, hummingbird for one airframe and IMU. control-attitude and control-separate train
-    attitude controllers by imitation, and generate their own flights.
+    paper's recipe. control-attitude trains an attitude controller by imitation, on flights of its own.
 
     The run folder gets the weights, the losses and their plot. Ctrl-C keeps what there is, and the same
     command continues the run.

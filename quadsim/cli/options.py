@@ -39,8 +39,7 @@ Preset = Annotated[
     str,
     typer.Option(
         help="att-snn: the circuit that ships, for any IMU. tune: continues it on your logs. paper: the "
-        "paper's recipe. hummingbird: for one airframe. control-attitude, control-separate: for "
-        "controllers. Or a TOML file."
+        "paper's network of layers. control-attitude: a controller. Or a TOML file."
     ),
 ]
 Fields = Annotated[

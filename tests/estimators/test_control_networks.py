@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from controllers import ATTITUDE, CONFIG, random_tensors, readings
+from controllers import CONFIG, random_tensors, readings
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -25,9 +25,9 @@ from estimators.networks.weights_file import (
 from quadsim.vehicle import GRAVITY
 
 
-@pytest.fixture(params=[CONFIG, ATTITUDE], ids=["imu", "attitude"])
-def file(request, tmp_path):
-    save_network(tmp_path / "c.safetensors", request.param, random_tensors())
+@pytest.fixture
+def file(tmp_path):
+    save_network(tmp_path / "c.safetensors", CONFIG, random_tensors())
     return tmp_path / "c.safetensors"
 
 
@@ -45,12 +45,12 @@ def test_a_controller_has_nine_inputs_and_three_outputs():
 
 def test_a_file_returns_what_was_saved(file):
     config, tensors = load_network(file)
-    assert config == (ATTITUDE if config.reads == "attitude" else CONFIG)
+    assert config == CONFIG
     assert all(np.array_equal(tensors[name], value) for name, value in random_tensors().items())
 
 
 def test_a_file_of_an_attitude_network_does_not_mention_set_points(tmp_path):
-    save_network(tmp_path / "a.safetensors", *load_network("att-snn-hummingbird"))
+    save_network(tmp_path / "a.safetensors", *load_network("att-snn-paper"))
     assert b"set_point" not in (tmp_path / "a.safetensors").read_bytes()
 
 
@@ -60,7 +60,7 @@ def test_samples_one_by_one_as_a_sequence_alone_and_on_the_chip_give_the_same_nu
     wanted[1, 10:14], gyro[2, 20], accel[0, 5:9], roll_pitch[3, 7] = np.nan, np.nan, np.nan, np.nan
     batch, alone, chip = create_controller(file), create_controller(file), create_controller(f"{file}-loihi")
     batch.reset(4)
-    read = gravity_of(roll_pitch) if batch.reads == "attitude" else accel
+    read = gravity_of(roll_pitch)
     whole = batch.sequence(wanted, gyro, read)
     assert np.abs(whole[..., :3]).max() > 1.0
     for controller in (batch, chip):
@@ -69,18 +69,15 @@ def test_samples_one_by_one_as_a_sequence_alone_and_on_the_chip_give_the_same_nu
     assert np.array_equal(alone.sequence(wanted[third], gyro[third], read[third]), whole[third])
 
 
-def test_an_attitude_stands_for_the_accelerometer(tmp_path):
-    save_network(tmp_path / "c.safetensors", ATTITUDE, random_tensors())
+def test_an_attitude_stands_for_the_accelerometer(file):
     wanted, gyro, accel = readings(2, 60)
     roll_pitch = np.random.default_rng(3).normal(size=(2, 60, 2)) * 0.3
-    controller = create_controller(tmp_path / "c.safetensors")
+    controller = create_controller(file)
     out = stream(controller, wanted, gyro, np.full_like(accel, np.nan), roll_pitch)
     assert np.array_equal(out, stream(controller, wanted, gyro, accel, roll_pitch))
     assert not np.array_equal(out, stream(controller, wanted, gyro, accel, 0.0 * roll_pitch))
     wanted, gyro, accel = (np.zeros((1, k)) for k in (4, 3, 3))
     controller.reset(1)
-    with pytest.raises(ValueError, match="reads an attitude: roll_pitch is required"):
-        controller.update(wanted, gyro, accel)
     for shape in ((1, 1), (1, 3), (2, 2), (2,)):
         with pytest.raises(ValueError, match=r"roll_pitch: shape .*, should be \(1, 2\)"):
             controller.update(wanted, gyro, accel, np.zeros(shape))
@@ -93,19 +90,6 @@ def test_an_attitude_stands_for_the_accelerometer(tmp_path):
 def test_gravity_of_an_attitude_is_the_specific_force_at_rest(roll, pitch):
     wanted = Rotation.from_euler("ZYX", [0.7, pitch, roll]).inv().apply([0.0, 0.0, GRAVITY])
     np.testing.assert_allclose(gravity_of([roll, pitch]), wanted, atol=1e-12)
-
-
-def test_an_unknown_reading_in_a_file_is_refused(tmp_path):
-    save_network(file := tmp_path / "c.safetensors", ATTITUDE, random_tensors())
-    content = file.read_bytes()
-    assert content.count(b"attitude") == 1
-    file.write_bytes(content.replace(b"attitude", b"rotorrpm"))
-    with pytest.raises(ValueError, match="another version of quadsim"):
-        load_network(file)
-
-
-def test_what_an_earlier_file_says_that_it_reads_is_read():
-    assert load_network("control-attitude").config.reads == "attitude"
 
 
 def test_activity_on_the_chip_ends_with_the_outputs_of_the_controller():
@@ -152,7 +136,7 @@ def test_outputs_are_bounded_whatever_comes_in(values, repeats):
     controller.reset(1)
     wanted, gyro, accel = np.split(np.array(values)[None], (4, 7), axis=1)
     for _ in range(repeats):
-        action = controller.update(wanted, gyro, accel)
+        action = controller.sequence(wanted[None], gyro[None], accel[None])[0]
     assert np.isfinite(action).all()
     assert np.abs(action[:, :3]).max() <= 30.0
     assert 0.0 <= action[0, 3] <= THRUST_MAX
@@ -183,23 +167,22 @@ def test_a_silenced_controller_asks_for_no_angular_acceleration():
 
 
 def test_weights_for_another_task_or_sample_rate_and_samples_of_another_shape_are_refused(file):
-    with pytest.raises(ValueError, match=r"att-snn-hummingbird: an attitude estimator, not a controller"):
-        create_controller("att-snn-hummingbird")
+    with pytest.raises(ValueError, match=r"att-snn-paper: an attitude estimator, not a controller"):
+        create_controller("att-snn-paper")
     with pytest.raises(ValueError, match="a controller, not an attitude estimator"):
         create(str(file))
     with pytest.raises(ValueError, match="weights are for 200 Hz, not for 500 Hz"):
         create_controller(file, 500.0)
     with pytest.raises(ValueError, match=r"set_point: shape \(1, 1, 3\), should be \(1, 1, 4\)"):
-        SpikingController(CONFIG, random_tensors()).update(*np.zeros((3, 1, 3)))
+        SpikingController(CONFIG, random_tensors()).sequence(*np.zeros((3, 1, 1, 3)))
 
 
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"outputs": "up"}, "angular-acceleration and set_point go together"),
+        ({"outputs": "roll-pitch"}, "angular-acceleration and set_point go together"),
         ({"set_point": None}, "angular-acceleration and set_point go together"),
         ({"model": "att-rnn"}, "a controller is a spiking network"),
-        ({"set_point": None, "outputs": "up", "reads": "attitude"}, "an attitude is what a controller reads"),
     ],
 )
 def test_a_network_has_one_task(changes, reason):

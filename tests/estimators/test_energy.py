@@ -18,7 +18,7 @@ from estimators.networks.weights_file import load_network
 
 @pytest.fixture(scope="module")
 def network():
-    return OnLoihi(*load_network("att-snn-hummingbird"))
+    return OnLoihi(*load_network("att-snn-paper"))
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def activity(network, flights):
 
 
 def test_what_is_recorded_is_what_flies(network, activity, flights):
-    est = create_network("att-snn-loihi", weights="att-snn-hummingbird")
+    est = create_network("att-snn-loihi", weights="att-snn-paper")
     est.reset(2)
     gyro, accel = (flights[name].to_numpy()[:2, :2000] for name in ("gyro", "accel"))
     np.testing.assert_array_equal(activity.estimate, est.sequence(gyro, accel))
@@ -35,18 +35,16 @@ def test_what_is_recorded_is_what_flies(network, activity, flights):
 
 
 def test_events_are_spikes_times_the_weights_that_they_meet(network, activity):
-    config, tensors = load_network("att-snn-hummingbird")
-    neurons = config.encoding + config.hidden + 3
-    compartments = neurons + np.count_nonzero(tensors["w_after"])
+    config, tensors = load_network("att-snn-paper")
+    neurons = config.encoding + config.hidden + 2
     encoding, hidden = (activity.of_layer(activity.spikes, k).astype(int) for k in (0, 1))
     events = (encoding @ (tensors["w_ff"] != 0).T.sum(1)).sum()
     of_hidden = ("w_rec", "w_out")
     events += (hidden @ sum((tensors[name] != 0).sum(0) for name in of_hidden)).sum()
-    events += (hidden @ (tensors["w_after"][:, 0] != 0)).sum()  # on itself
     counted = counts(network, activity)
     assert counted["synaptic event"] == pytest.approx(events / activity.steps)
-    assert counted["active neuron update"] + counted["inactive neuron update"] == pytest.approx(compartments)
-    stored = sum(np.count_nonzero(tensors[name]) for name in ("w_ff", "w_rec", "w_out", "w_after"))
+    assert counted["active neuron update"] + counted["inactive neuron update"] == pytest.approx(neurons)
+    stored = sum(np.count_nonzero(tensors[name]) for name in ("w_ff", "w_rec", "w_out"))
     assert synapses(network.cores, neurons).sum() == stored
 
 
@@ -74,12 +72,11 @@ def test_flops_by_hand():
     # Encoder 12, neurons 5 + 5 + 8, one spike each: 1 synapse, and 1 + 2.
     assert snn_flops(1, 1, (1.0, 1.0))["sparse"] == 12 + 18 + 1 + 3
     assert snn_flops(1, 1, (0.5, 0.0))["dense"] == 12 + 18 + 2 * 4
-    assert snn_flops(1, 1, (0.5, 0.0), after_spike=True)["dense"] == 12 + 18 + 3 + 2 * 4
 
 
 def test_the_host_scales_six_readings_and_drives_each_encoding_neuron():
-    config, _ = load_network("att-snn-hummingbird")
-    one = host_operations(config.model_copy(update={"encoding": 1, "steps_per_sample": 1}))
+    config, _ = load_network("att-snn-paper")
+    one = host_operations(config.model_copy(update={"encoding": 1}))
     assert list(one.values()) == [6, 6 + 1]
-    more = host_operations(config.model_copy(update={"encoding": 50, "steps_per_sample": 2}))
-    assert list(more.values()) == [6, 2 * 50 * 7]
+    more = host_operations(config.model_copy(update={"encoding": 50}))
+    assert list(more.values()) == [6, 50 * 7]

@@ -20,7 +20,7 @@ def wrapped(x, bits):
 
 def reference(layers, spikes, biases):
     """States of every layer after every step: (u, v, s), each a list of lists."""
-    u, v, s, a = ([[0] * len(layer["du"]) for layer in layers] for _ in range(4))
+    u, v, s = ([[0] * len(layer["du"]) for layer in layers] for _ in range(3))
     history, external = [], [0] * len(spikes[0])
     for t, arriving in enumerate(spikes):
         before = [external, *[list(each) for each in s]]
@@ -33,9 +33,7 @@ def reference(layers, spikes, biases):
                     total += one * sum(w * x for w, x in zip(weights[i], sent, strict=True))
                 u[k][i] = wrapped(decayed(u[k][i], layer["du"][i]) + wrapped(total, 21), 23)
                 bias = biases[t][i] if k == 0 else layer["bias_mant"][i]
-                own = layer["w_after"][i] * before[k + 1][i] * 2 ** (6 + layer["exp_after"][i])
-                a[k][i] = wrapped(decayed(a[k][i], layer["d_after"][i]) + own, 23)
-                new = decayed(v[k][i], layer["dv"][i]) + u[k][i] + a[k][i]
+                new = decayed(v[k][i], layer["dv"][i]) + u[k][i]
                 new += bias * 2 ** layer["bias_exp"][i]
                 new = max(-(2**23) + 1, min(2**23 - 1, new))
                 s[k][i] = int(new > layer["vth"][i] * 64)
@@ -72,9 +70,6 @@ def networks(draw):
                 "bias_exp": pick(0, 8, 0, 6, 7),
                 "exp_in": np.zeros(width, int) if heavy else pick(-6, 1, -6, 0),
                 "exp_rec": pick(-6, 1, -6, 0),
-                "w_after": 2 * rng.integers(-128, 128, width) * draw(st.booleans()),
-                "d_after": pick(0, 4097, 0, 1, 4096),
-                "exp_after": pick(-6, 1, -6, 0),
             }
         )
         below = width

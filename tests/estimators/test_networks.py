@@ -20,7 +20,6 @@ from estimators.networks.network import (
     BatchedNetwork,
     NetworkEstimator,
     create_network,
-    roll_pitch_of_outputs,
     silenced,
 )
 from estimators.networks.on_chip import OnLoihi
@@ -32,7 +31,6 @@ from estimators.networks.weights_file import (
     parameters,
     save_network,
 )
-from quadsim.rotation import roll_pitch_of_up
 
 
 def random_rnn(config, seed=0):
@@ -40,23 +38,16 @@ def random_rnn(config, seed=0):
     return {k: rng.normal(0, 0.2, s).astype(np.float32) for k, s in expected_shapes(config).items()}
 
 
-@pytest.fixture(params=["roll-pitch", "up"])
-def outputs(request):
-    return request.param
-
-
 @pytest.fixture
-def snn_file(tmp_path, outputs):
-    config = NetworkConfig(
-        model="att-snn", outputs=outputs, output_scale=1 / 256, after_spike=outputs == "up"
-    )
+def snn_file(tmp_path):
+    config = NetworkConfig(model="att-snn", output_scale=1 / 256)
     save_network(tmp_path / "snn.safetensors", config, random_snn(config))
     return tmp_path / "snn.safetensors"
 
 
 @pytest.fixture
-def rnn_file(tmp_path, outputs):
-    config = NetworkConfig(model="att-rnn", outputs=outputs)
+def rnn_file(tmp_path):
+    config = NetworkConfig(model="att-rnn")
     save_network(tmp_path / "rnn.safetensors", config, random_rnn(config))
     return tmp_path / "rnn.safetensors"
 
@@ -74,10 +65,10 @@ def toward_zero(x, factor):
     return np.sign(x) * (np.abs(x) * factor >> 12)
 
 
-@pytest.mark.parametrize("name", ["", "att-snn-hummingbird", "control-attitude"])
+@pytest.mark.parametrize("name", ["", "att-snn-paper", "control-attitude"])
 def test_a_network_has_every_state_of_its_layers_on_the_emulated_chip(tmp_path, name):
     """The host's part in plain integers: u[t] = D(u[t-1]) + W x, of which the chip gets steps of 2^4."""
-    config = NetworkConfig(model="att-snn", output_scale=1 / 256, after_spike=True, steps_per_sample=2)
+    config = NetworkConfig(model="att-snn", output_scale=1 / 256)
     config, tensors = load_network(name) if name else (config, random_snn(config))
     core = OnLoihi(config, tensors)
     est, chip, spikes = (
@@ -94,9 +85,8 @@ def test_a_network_has_every_state_of_its_layers_on_the_emulated_chip(tmp_path, 
         out = est.outputs(*(each[:, t : t + 1] for each in (gyro, accel, wanted)))
         state = est.states[0]
         x = np.concatenate([state["inputs"], wanted[0, t]])[: w_in.shape[1]].astype(int)
-        for _ in range(config.steps_per_sample):
-            current = toward_zero(current, keep) + np.trunc(w_in @ x / 16).astype(int)
-            chip.step(bias_mant=np.trunc(current / 16).clip(-4095, 4095).astype(int))
+        current = toward_zero(current, keep) + np.trunc(w_in @ x / 16).astype(int)
+        chip.step(bias_mant=np.trunc(current / 16).clip(-4095, 4095).astype(int))
         np.testing.assert_array_equal(state["current"], current)
         fired = core.spikes(est.states)[0]
         potentials = np.where(fired, 0, state["v"])
@@ -129,8 +119,6 @@ def test_streaming_equals_the_whole_sequence_however_many_vehicles_there_are(est
         est.reset(len(gyro[part]))
         streamed = [est.update(gyro[part, t], accel[part, t]) for t in range(45)]
         np.testing.assert_array_equal(np.stack(streamed, 1), whole[part])
-        if est.up is not None:
-            np.testing.assert_array_equal(roll_pitch_of_up(est.up), whole[part, -1])
 
 
 def test_restart_leaves_the_others_alone(est):
@@ -140,8 +128,6 @@ def test_restart_leaves_the_others_alone(est):
     est.reset(3)
     est.sequence(gyro[:, :30], accel[:, :30])
     est.restart([1])
-    if est.up is not None:
-        np.testing.assert_array_equal((est.up == [0, 0, 1]).all(1), [False, True, False])
     rest = est.sequence(gyro[:, 30:], accel[:, 30:])
     np.testing.assert_array_equal(rest[[0, 2]], whole[[0, 2], 30:])
     est.reset(1)
@@ -170,8 +156,8 @@ def test_the_tangent_of_the_gru_is_numpys():
 
 
 @pytest.mark.parametrize("units", [7, 100])
-def test_gru_equals_torch(tmp_path, units, outputs):
-    config = NetworkConfig(model="att-rnn", outputs=outputs, encoding=units, hidden=units)
+def test_gru_equals_torch(tmp_path, units):
+    config = NetworkConfig(model="att-rnn", encoding=units, hidden=units)
     tensors = random_rnn(config)
     rnn_file = tmp_path / "rnn.safetensors"
     save_network(rnn_file, config, tensors)
@@ -182,10 +168,7 @@ def test_gru_equals_torch(tmp_path, units, outputs):
     expected = gru(x)[0].detach().numpy() @ tensors["out.weight"].T + tensors["out.bias"]
     est = create_network("att-rnn", weights=rnn_file)
     est.reset(9)
-    found = est.sequence(gyro, accel)
-    if est.up is not None:
-        np.testing.assert_allclose(est.up, expected[:, -1] + [0, 0, 1], atol=1e-5)
-    np.testing.assert_allclose(found, roll_pitch_of_outputs(expected), atol=1e-5 if est.up is None else 1e-3)
+    np.testing.assert_allclose(est.sequence(gyro, accel), expected, atol=1e-5)
 
 
 def test_inference_does_not_import_torch(snn_file):
@@ -198,9 +181,8 @@ def test_inference_does_not_import_torch(snn_file):
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_the_networks_that_ship_fit_one_core_and_the_size_of_the_paper_s():
-    assert len(OnLoihi(*load_network("att-snn-hummingbird")).cores) == 1
-    assert parameters(load_network("att-snn-hummingbird").tensors) <= 21202
+def test_the_network_by_the_papers_recipe_has_at_most_its_size():
+    assert parameters(load_network("att-snn-paper").tensors) <= 21202
 
 
 def test_bad_files_give_one_clear_line(tmp_path, snn_file, rnn_file):
@@ -223,7 +205,7 @@ def test_bad_files_give_one_clear_line(tmp_path, snn_file, rnn_file):
         ({"more": tensors["w_ff"]}, "unknown tensor more"),
         ({"exp_ff": np.full(100, 1, np.int16)}, r"exp_ff spans 1\.\.\.1, allowed -6\.\.\.0"),
         ({"exp_rec": np.zeros(99, np.int16)}, r"exp_rec has shape \(99,\), should be \(100,\)"),
-        ({"w_out": np.zeros((4, 100), np.int16)}, r"w_out has shape \(4, 100\), should be \([23], 100\)"),
+        ({"w_out": np.zeros((4, 100), np.int16)}, r"w_out has shape \(4, 100\), should be \(2, 100\)"),
     ):
         with pytest.raises(ValueError, match=message):
             save_network(path, config, tensors | change)
@@ -246,7 +228,7 @@ def test_bad_files_give_one_clear_line(tmp_path, snn_file, rnn_file):
 def test_declared_shapes_and_types_are_refused_before_a_number_is_read(tmp_path, changes, message):
     config = NetworkConfig(model="att-snn")
     tensors = {name: ("I16", list(shape)) for name, shape in expected_shapes(config).items()} | changes
-    header: dict[str, object] = {"__metadata__": {"format": "2", "config": config.model_dump_json()}}
+    header: dict[str, object] = {"__metadata__": {"format": "3", "config": config.model_dump_json()}}
     end = 0
     for name, (kind, shape) in tensors.items():
         size = {"I16": 2, "BF16": 2, "F64": 8}[kind] * math.prod(shape)
@@ -275,9 +257,7 @@ def test_silenced_networks_estimate_nothing(est, snn_file, rnn_file):
 @pytest.mark.parametrize("delay", [1, 2])
 def test_network_in_floats_equals_the_pytorch_loop(tmp_path, delay):
     sizes = {"encoding": 12, "hidden": 9}
-    config = NetworkConfig(
-        model="att-snn", quantised=False, **sizes, recurrent_delay=delay, after_spike=delay == 1
-    )
+    config = NetworkConfig(model="att-snn", quantised=False, **sizes, recurrent_delay=delay)
     rng = np.random.default_rng(0)
     tensors = {
         name: rng.normal(0, 0.5, shape) if name.startswith("w_") else rng.uniform(0.3, 0.95, shape)
@@ -301,12 +281,12 @@ def test_network_in_floats_equals_the_pytorch_loop(tmp_path, delay):
     ("format", "inputs", "message"),
     [
         ({}, {}, r"w.safetensors: weights of quadsim 0.1, this .* train them again$"),
-        ({"format": "3"}, {}, "weights of format '3', this version of quadsim reads '2'"),
-        ({"format": "2"}, {"accel_ofset": 1.0}, 'version of quadsim: unknown key "inputs.accel_ofset"; did'),
+        ({"format": "2"}, {}, "weights of format '2', this version of quadsim reads '3'"),
+        ({"format": "3"}, {"accel_ofset": 1.0}, 'version of quadsim: unknown key "inputs.accel_ofset"; did'),
     ],
 )
 def test_weights_of_another_version_are_refused_in_one_line(tmp_path, format, inputs, message):
-    config, tensors = load_network("att-snn-hummingbird")
+    config, tensors = load_network("att-snn-paper")
     about = config.model_dump(mode="json")
     about["inputs"] |= inputs
     save_file(tensors, tmp_path / "w.safetensors", metadata=format | {"config": json.dumps(about)})

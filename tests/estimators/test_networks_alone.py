@@ -32,7 +32,6 @@ def validation(tmp_path_factory):
 @pytest.mark.parametrize(
     ("name", "weights"),
     [
-        ("att-snn-loihi", "att-snn-hummingbird"),
         ("att-snn-loihi", "att-snn-paper"),
         ("att-rnn", "att-rnn-paper"),
     ],
@@ -50,7 +49,7 @@ def test_the_silenced_error_is_at_least_three_times_the_error(name, weights, val
 
 @pytest.mark.parametrize("name", CORES)
 def test_the_input_part_of_the_state_is_the_last_inputs_and_a_count(name):
-    config, tensors = load_network("att-rnn-paper" if name == "att-rnn" else "att-snn-hummingbird")
+    config, tensors = load_network("att-rnn-paper" if name == "att-rnn" else "att-snn-paper")
     est = NetworkEstimator(CORES[name](config, tensors), config.rate_hz)
     rng = np.random.default_rng(0)
     gyro, accel = rng.normal(0, 1, (5, 40, 3)), rng.normal([0, 0, 9.8], 0.5, (5, 40, 3))

@@ -7,7 +7,7 @@ import subprocess
 import numpy as np
 import pytest
 import torch
-from controllers import ATTITUDE, CONFIG, random_snn
+from controllers import CONFIG, random_snn
 from plain_network import forward
 
 from estimators.control.controller import SpikingController
@@ -18,17 +18,13 @@ from estimators.networks.gru import Recurrent
 from estimators.networks.network import NetworkEstimator
 from estimators.networks.on_chip import OnLoihi
 from estimators.networks.weights_file import (
-    LEVEL_UP,
     NetworkConfig,
-    exponents,
     load_network,
     save_network,
 )
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
 from quadsim.flight.recipe import load_recipe
-
-ESTIMATES_UP = {"outputs": "up", "set_point": None}
 
 
 def readings(steps, seed=0):
@@ -48,7 +44,7 @@ def state_of(config):
     fired = [("encoding_fired", np.uint16, config.encoding), ("hidden_fired", np.uint16, config.hidden)]
     layers = [
         ("encoding", np.dtype(neuron), config.encoding),
-        ("hidden", np.dtype(neuron + [("a", np.int32)] * config.after_spike), config.hidden),
+        ("hidden", np.dtype(neuron), config.hidden),
         ("output", np.dtype(neuron), config.n_outputs),
     ]
     thrust = [("thrust", float)] * config.controls
@@ -90,14 +86,6 @@ def fired(state, layer, size):
     return found
 
 
-def next_after_spike(ours, spikes, config, tensors):
-    """After-spike currents of the next step, which the C code already has; see estimators.loihi.neurons."""
-    hidden = slice(config.encoding, -config.n_outputs)
-    own = tensors["w_after"][:, 0].astype(int) << (6 + exponents(tensors, "w_after"))
-    left = np.fix(ours["a"][: config.hidden] * (4096.0 - tensors["syn_after"]) / 4096.0)
-    return left + own * spikes[hidden]
-
-
 def assert_states_equal(theirs, est, config, tensors, label):
     """The C code's state is the emulator's."""
     h0, h1, last = config.encoding, config.hidden, -config.n_outputs
@@ -115,33 +103,20 @@ def assert_states_equal(theirs, est, config, tensors, label):
         "input": (theirs["input"][:6], ours["inputs"][:6]),
         "skipped": (theirs["skipped"], ours["missing"]),
     }
-    if config.after_spike:
-        pairs["a1"] = theirs["hidden"]["a"], next_after_spike(ours, spikes, config, tensors)
     for name, (a, b) in pairs.items():
         np.testing.assert_array_equal(a, b, err_msg=f"{name} at {label}")
 
 
 @pytest.mark.parametrize(
-    ("seed", "outputs", "after_spike"),
-    [(None, "", False), (0, "roll-pitch", False), (1, "up", True)],
+    "seed",
+    [None, 0, 1],
 )
-def test_c_source_equals_the_emulator_in_every_state_of_every_step(
-    compiled, tmp_path, seed, outputs, after_spike
-):
+def test_c_source_equals_the_emulator_in_every_state_of_every_step(compiled, tmp_path, seed):
     if seed is None:
-        config, tensors = load_network("att-snn-hummingbird")
-        weights = "att-snn-hummingbird"
+        config, tensors = load_network("att-snn-paper")
+        weights = "att-snn-paper"
     else:
-        scale = 1 / 256 if seed else 0.003
-        config = NetworkConfig(
-            model="att-snn",
-            encoding=37,
-            hidden=23,
-            steps_per_sample=1 + seed,
-            outputs=outputs,
-            output_scale=scale,
-            after_spike=after_spike,
-        )
+        config = NetworkConfig(model="att-snn", encoding=37, hidden=23, output_scale=0.003)
         tensors, weights = random_snn(config, seed), tmp_path / "w.safetensors"
         save_network(weights, config, tensors)
     gyro, accel = readings(2000)
@@ -150,15 +125,14 @@ def test_c_source_equals_the_emulator_in_every_state_of_every_step(
     for t, (theirs, attitude) in enumerate(states):
         out = est.update(gyro[t : t + 1], accel[t : t + 1])
         assert_states_equal(theirs, est, config, tensors, t)
-        ours = out[0] if est.up is None else est.up[0]
-        np.testing.assert_array_equal(attitude, ours, err_msg=f"outputs at {t}")
+        np.testing.assert_array_equal(attitude, out[0], err_msg=f"outputs at {t}")
     assert states["state"]["encoding_spikes"].mean() > 0.01 * config.encoding
     assert states["state"]["hidden_spikes"].mean() > 0.01 * config.hidden
 
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_controllers_c_source_equals_the_emulator_in_every_state_of_every_step(compiled, tmp_path, seed):
-    config = CONFIG.model_copy(update={"encoding": 41, "hidden": 35, "after_spike": bool(seed)})
+    config = CONFIG.model_copy(update={"encoding": 41, "hidden": 35})
     tensors, weights = random_snn(config, seed), tmp_path / "w.safetensors"
     save_network(weights, config, tensors)
     rng = np.random.default_rng(seed)
@@ -169,7 +143,7 @@ def test_a_controllers_c_source_equals_the_emulator_in_every_state_of_every_step
     controller = SpikingController(config, tensors, on_loihi=True)
     controller.reset(1)
     for t, (theirs, action) in enumerate(states):
-        out = controller.update(wanted[t : t + 1], gyro[t : t + 1], accel[t : t + 1])
+        out = controller.sequence(*(each[None, t : t + 1] for each in (wanted, gyro, accel)))[0]
         assert_states_equal(theirs, controller, config, tensors, t)
         np.testing.assert_array_equal(action, out[0], err_msg=f"action at {t}")
     assert states["state"]["hidden_spikes"].mean() > 0.01 * config.hidden
@@ -205,7 +179,7 @@ def flown(tmp_path_factory):
     return flights.gyro.values.astype(float), flights.accel.values.astype(float)
 
 
-NAMES = ("att-snn-hummingbird", "att-snn-paper", "random")
+NAMES = ("att-snn-paper", "random")
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
@@ -213,8 +187,8 @@ NAMES = ("att-snn-hummingbird", "att-snn-paper", "random")
     ("tool", "name"),
     [
         *((norse_in_doubles, name) for name in NAMES),
-        *((snntorch_network, name) for name in ("att-snn-hummingbird", "control-separate")),
-        (norse_network, "att-snn-hummingbird"),
+        *((snntorch_network, name) for name in ("att-snn-paper", "control-attitude")),
+        (norse_network, "att-snn-paper"),
     ],
 )
 def test_a_nir_file_spikes_in_other_tools_as_the_network_in_floats(tmp_path, flown, tool, name):
@@ -227,7 +201,7 @@ def test_a_nir_file_spikes_in_other_tools_as_the_network_in_floats(tmp_path, flo
     weights = name
     if name == "random":
         weights = tmp_path / "random.safetensors"
-        config = NetworkConfig(model="att-snn", encoding=40, hidden=30, outputs="up", after_spike=True)
+        config = NetworkConfig(model="att-snn", encoding=40, hidden=30)
         save_network(weights, config, random_snn(config, 1))
     config, tensors = load_network(weights)
     network, spikes_of = tool(nir.read(export_weights(weights, tmp_path / "snn.nir", "nir")))
@@ -251,30 +225,28 @@ def node_of(graph, name):
     return next(node for key, node in graph.nodes.items() if key[3:] == name)
 
 
-@pytest.mark.parametrize("config", [CONFIG, ATTITUDE, CONFIG.model_copy(update=ESTIMATES_UP)])
+@pytest.mark.parametrize("config", [CONFIG, NetworkConfig(model="att-snn", encoding=9, hidden=8)])
 def test_nir_graph_says_what_its_inputs_and_outputs_are(tmp_path, config):
     nir = pytest.importorskip("nir")
     tensors = random_snn(config)
     save_network(tmp_path / "w.safetensors", config, tensors)
     graph = nir.read(export_weights(tmp_path / "w.safetensors", tmp_path / "snn.nir", "nir"))
     np.testing.assert_array_equal(node_of(graph, "input").input_type["input"], [config.n_inputs])
-    np.testing.assert_array_equal(node_of(graph, "finish").input_type["input"], [3])
+    np.testing.assert_array_equal(node_of(graph, "finish").input_type["input"], [config.n_outputs])
     np.testing.assert_array_equal(node_of(graph, "w_in").metadata["mantissa"], tensors["w_in"])
     assert graph.metadata["outputs"] == config.outputs
     assert ("set_point_gain_1024" in graph.metadata) == config.controls
-    assert graph.metadata.get("reads", "imu") in (config.reads, config.reads.encode())
 
 
 def test_nir_graph_carries_the_integers_of_the_chip(tmp_path):
     nir = pytest.importorskip("nir")
-    _, tensors = load_network("att-snn-hummingbird")
-    graph = nir.read(export_weights("att-snn-hummingbird", tmp_path / "snn.nir", "nir"))
+    _, tensors = load_network("att-snn-paper")
+    graph = nir.read(export_weights("att-snn-paper", tmp_path / "snn.nir", "nir"))
     for name in ("w_in", "w_ff", "w_rec", "w_out"):
         node = node_of(graph, name)
         mantissa, exponent = node.metadata["mantissa"], node.metadata["exponent"]
         np.testing.assert_array_equal(mantissa, tensors[name])
         np.testing.assert_array_equal(node.weight, mantissa * np.exp2(exponent - 8.0)[:, None])
-    np.testing.assert_array_equal(node_of(graph, "w_after").metadata["mantissa"], tensors["w_after"])
     for name, key, tau, tensor in (
         ("encoding", "du", "tau_syn", "syn0"),
         ("encoding", "dv", "tau_mem", "mem0"),
@@ -285,7 +257,6 @@ def test_nir_graph_carries_the_integers_of_the_chip(tmp_path):
         np.testing.assert_allclose(4096 * graph.metadata["dt"] / getattr(node, tau), tensors[tensor])
     for name, key, tensor in (
         ("current_decay", "du", "syn1"),
-        ("after_decay", "du", "syn_after"),
         ("output_current_decay", "du", "syn2"),
         ("output_decay", "dv", "mem2"),
     ):
@@ -304,7 +275,7 @@ def test_onnx_runtime_computes_the_network(tmp_path):
     gyro, accel = rng.normal(0, 1, (2, 300, 3)), rng.normal([0, 0, 9.8], 1.0, (2, 300, 3))
     est = NetworkEstimator(Recurrent(config, tensors), config.rate_hz)
     est.reset(2)
-    expected = est.outputs(gyro, accel) + (LEVEL_UP if config.outputs == "up" else 0.0)
+    expected = est.outputs(gyro, accel)
     states = {f"h{k}": np.zeros((1, 2, 100), np.float32) for k in (0, 1)}
     parts = []
     for part in np.split(np.arange(300), [100, 101]):  # whole windows and a single sample alike
@@ -335,18 +306,16 @@ def test_what_cannot_be_exported_is_refused(tmp_path):
 
 
 def test_the_c_header_names_what_comes_in_and_the_scale_of_what_goes_out(tmp_path):
-    export_weights("att-snn-hummingbird", tmp_path / "c", "c99")
+    export_weights("att-snn-paper", tmp_path / "c", "c99")
     header = (tmp_path / "c" / "att_snn.h").read_text()
-    scale = OnLoihi(*load_network("att-snn-hummingbird")).scale
-    assert f"#define ATT_SNN_UNITS_PER_ONE {round(1 / scale)}\n" in header
-    assert "#define ATT_SNN_OUTPUTS 3\n" in header
+    assert f"#define ATT_SNN_UNITS_PER_RADIAN {2**14}\n" in header
     config = NetworkConfig(model="att-snn", encoding=5, hidden=7, output_scale=1 / 256)
     save_network(tmp_path / "w.safetensors", config, random_snn(config))
     export_weights(tmp_path / "w.safetensors", tmp_path / "rp", "c99")
     header = (tmp_path / "rp" / "att_snn.h").read_text()
     assert f"#define ATT_SNN_UNITS_PER_RADIAN {256 * 2**14}\n" in header
     assert "#define ATT_SNN_OUTPUTS 2\n" in header
-    save_network(tmp_path / "a.safetensors", ATTITUDE, random_snn(ATTITUDE))
+    save_network(tmp_path / "a.safetensors", CONFIG, random_snn(CONFIG))
     header = (export_weights(tmp_path / "a.safetensors", tmp_path / "a", "c99") / "snn_control.h").read_text()
     assert "a gyroscope and an estimate of roll and pitch" in header
     assert "This network reads an attitude" in header

@@ -211,11 +211,11 @@ def test_the_same_command_again_finds_its_work_done(quadsim, dataset):
 
 
 def test_a_report_of_weights_shows_where_the_neurons_go(quadsim):
-    code, out, _ = quadsim("report", "att-snn-hummingbird")
+    code, out, _ = quadsim("report", "att-snn-paper")
     assert code == 0
     for heading in ("compartments", "synaptic", "formats", "fan-in", "(1048576)"):
         assert heading in out
-    config, _ = load_network("att-snn-hummingbird")
+    config, _ = load_network("att-snn-paper")
     assert f"{config.encoding + config.hidden + config.n_outputs} neurons on 1 of a chip's 128 cores" in out
 
 

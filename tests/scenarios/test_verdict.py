@@ -301,11 +301,11 @@ def test_console_and_report_have_the_tracking_error_beside_that_of_the_estimate(
 
 def test_a_network_on_an_airframe_that_it_was_not_trained_on_is_warned_of():
     scenarios = {"a": Scenario(description="", vehicle="crazyflie")}
-    names = ("att-snn", "att-snn-hummingbird", "truth @ control-attitude", "truth @ control-attitude-loihi")
+    names = ("att-snn", "att-snn-paper", "truth @ control-attitude", "truth @ control-attitude-loihi")
     results = benchmark({name: {"a": [1.0]} for name in names}, scenarios=scenarios)
     trained = [line for line in results.warnings if line.startswith("Trained")]
     assert trained == [
-        "Trained on the hummingbird, not on the crazyflie, which was simulated: att-snn-hummingbird, "
+        "Trained on the hummingbird, not on the crazyflie, which was simulated: att-snn-paper, "
         "control-attitude, control-attitude-loihi."
     ]
     at_home = replace(results, scenarios={"a": Scenario(description="")})

@@ -9,12 +9,10 @@ CONFIG = NetworkConfig(
     model="att-snn",
     encoding=10,
     hidden=12,
-    after_spike=True,
     outputs="angular-acceleration",
     output_scale=20.0,
     set_point=SetPointScaling(bound=30.0),
 )
-ATTITUDE = CONFIG.model_copy(update={"reads": "attitude"})
 
 
 def random_tensors(config=CONFIG, seed=0):

@@ -20,7 +20,7 @@ BIAS_STEP, MANT_MAX = 2.0**4, 4095.0
 
 
 def states(x: Tensor, weights: Weights, quantised: bool = False, recurrent_delay: int = 1) -> list:
-    """Currents u and a, potentials v before the reset and spikes s of the layers 0, 1, 2 after each step.
+    """Currents u, potentials v before the reset and spikes s of the layers 0, 1, 2 after each step.
 
     Args:
         x: Scaled input (for the quantised network in steps of 2^-10), shape (n, T, inputs).
@@ -51,7 +51,7 @@ def states(x: Tensor, weights: Weights, quantised: bool = False, recurrent_delay
 
     (h1, h0), outputs = w.w_ff.shape, len(w.w_out)
     u0 = v0 = s0 = w.w_ff.new_zeros(len(x), h0)
-    u1 = v1 = s1 = s1_before = a1 = w.w_ff.new_zeros(len(x), h1)
+    u1 = v1 = s1 = s1_before = w.w_ff.new_zeros(len(x), h1)
     u2 = v2 = w.w_ff.new_zeros(len(x), outputs)
     every = []
     for sample in x.to(w.w_ff).unbind(1):
@@ -60,13 +60,11 @@ def states(x: Tensor, weights: Weights, quantised: bool = False, recurrent_delay
         sums = s0 @ w.w_ff.T + (s1 if recurrent_delay == 1 else s1_before) @ w.w_rec.T
         u1 = wrap(decay(u1, w.syn1) + wrap(sums, 21), 23)
         u0 = wrap(decay(u0, w.syn0) + rounded(sample @ w.w_in.T, torch.trunc), 23)
-        if w.w_after.shape[1]:
-            a1 = wrap(decay(a1, w.syn_after) + s1 * w.w_after[:, 0], 23)
-        v1 = membrane(v1, s1, u1 + a1, w.mem1)
+        v1 = membrane(v1, s1, u1, w.mem1)
         v0 = membrane(v0, s0, rounded(u0, bias), w.mem0)
         s1_before = s1
         s0, s1 = (superspike(v / one - THRESHOLD) for v in (v0, v1))
-        every.append(SimpleNamespace(u0=u0, v0=v0, s0=s0, u1=u1, v1=v1, s1=s1, a1=a1, v2=v2))
+        every.append(SimpleNamespace(u0=u0, v0=v0, s0=s0, u1=u1, v1=v1, s1=s1, v2=v2))
     return every
 
 
@@ -93,7 +91,7 @@ class Plain:
         return tuple(np.stack(self.values(name), 1) > 0 for name in ("s0", "s1"))
 
     def peak_currents(self):
-        return tuple(np.abs(self.values(name)).max((0, 1)) / self.one for name in ("u0", "u1", "a1"))
+        return tuple(np.abs(self.values(name)).max((0, 1)) / self.one for name in ("u0", "u1"))
 
     def values(self, name):
         return [getattr(state, name).detach().numpy() for state in self.every]

@@ -1,4 +1,4 @@
-"""Training of spiking controllers: teacher, flights, rounds, networks on an estimator, runs that go on."""
+"""Training of spiking controllers: teacher, flights, rounds, runs that go on."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,6 @@ import torch
 
 from estimators.control import create_controller
 from estimators.control.controller import SpikingController
-from estimators.networks.forward import real_weights
 from estimators.networks.weights_file import load_network
 from quadsim.control.records import SET_POINT
 from quadsim.flight.recipe import load_recipe
@@ -19,7 +18,7 @@ from training.control.excitation import Excitation, set_point_excitation
 from training.control.flights import fly, thrust_axis, thrust_axis_error, with_motion
 from training.control.task import ControlTask, read_flights, windows
 from training.data import network_inputs
-from training.init import CONTROLLER_START, initialise_from_data
+from training.init import initialise_controller
 from training.loop import INTERRUPTED, Training, train
 from training.models import AttSNN
 
@@ -28,8 +27,6 @@ TINY = {
     "control": {"flights": 3, "flight_s": 1.0, "rounds": 1, "round_flights": 2, "validation_flights": 2},
     **{"encoding": 16, "hidden": 18, "epochs": 2, "batches": 3, "batch_size": 4, "window_s": 0.2},
 }
-ON_SPIKES = TINY | {"preset": "control-separate"}
-"""A controller on an estimator's spikes."""
 SETTINGS = ControlSettings(**TINY["control"])
 
 
@@ -114,40 +111,16 @@ def test_windows_follow_one_another_within_a_stream_and_a_flight(recipe):
         before = now
 
 
-def test_an_estimator_in_front_stays_and_reads_the_imu_alone(tmp_path):
-    training = training_of(tmp_path, **ON_SPIKES)
-    tensors = training.exported()[1]
-    assert not tensors["w_in"][:96, 6:].any()  # set-points do not reach the estimator
-    assert not tensors["w_in"][96:, 3:6].any()  # nor the accelerometer the controller
-    assert not tensors["w_ff"][:96, 96:].any()
-    assert not tensors["w_ff"][96:, :96].any()
-    assert not tensors["w_rec"][:96, 96:].any()
-    assert tensors["w_rec"][96:, :96].any()
-    assert not tensors["w_out"][:, :96].any()
-    training.one_epoch()
-    network, tensors = training.exported()
-    ours, theirs = real_weights(network, tensors), real_weights(*load_network("att-snn-hummingbird"))
-    for name in ("syn0", "mem0", "syn1", "mem1", "syn_after", "w_after"):
-        assert np.array_equal(getattr(ours, name)[:96], getattr(theirs, name)), name
-    assert np.array_equal(ours.w_in[:96, :6], theirs.w_in)
-    assert np.array_equal(ours.w_ff[:96, :96], theirs.w_ff)
-    assert np.array_equal(ours.w_rec[:96, :96], theirs.w_rec)
-    assert not training.model.w_rec.grad[:96].any()
-    assert training.model.w_rec.grad[96:].any()
-
-
-def test_an_update_with_two_steps_a_sample_descends_the_error_of_what_the_chip_asks_for(tmp_path):
-    changes = {"steps_per_sample": 2, "huber_threshold": 0.0, "rate_cost": 0.0}
+def test_an_update_descends_the_error_of_what_the_chip_asks_for(tmp_path):
+    changes = {"huber_threshold": 0.0, "rate_cost": 0.0}
     training = training_of(tmp_path, **TINY | changes)
     window = next(first_windows(training.task.rounds[0], training.config))
     network, tensors = training.exported()
-    assert network.steps_per_sample == 2
     chip = SpikingController(network, tensors, on_loihi=True)
     chip.reset(4)
     action = chip.sequence(window.set_point, window.gyro, window.accel)[..., :3]
     out = training.model(network_inputs(training.config, window))[0].detach()
-    assert out.shape == (4, 80, 3)
-    np.testing.assert_array_equal(out[:, 1::2], action)
+    np.testing.assert_array_equal(out, action)
     assert action.std() > 0.1
     error = (action - window.target) / np.array(training.task.scale)
     assert training._update(window)[0] == pytest.approx(1.5 * np.mean(error**2), rel=1e-5)
@@ -164,7 +137,7 @@ def test_a_linear_teacher_is_imitated_in_seconds():
     gyro = np.sin(6.28 * frequency * time[:, None] + phase)
     x = np.concatenate([gyro / 2.5, np.zeros((12, 300, 6))], 2)
     target = -8.0 * gyro
-    initialise_from_data(model, x, target, 0, CONTROLLER_START)
+    initialise_controller(model, x, target, 0)
     optimiser = torch.optim.Adam(model.parameters(), 0.02)
     inputs, wanted = torch.from_numpy(x), torch.from_numpy(target.astype(np.float32))
     for _ in range(150):
@@ -197,23 +170,17 @@ def test_a_run_that_was_stopped_ends_with_the_same_weights_which_fly(recipe, tmp
     assert whole.weights.read_bytes() == resumed.weights.read_bytes()
     with pytest.raises(ValueError, match="another configuration, choose another folder"):
         train(out=tmp_path / "whole", **TINY, seed=5)
-    assert load_network(whole.weights).config.reads == "attitude"
     controller = create_controller(whole.weights)
     flights = fly(SETTINGS, recipe, seeds(2), controller)
     assert np.linalg.norm(flights.accel, axis=-1) == pytest.approx(GRAVITY, rel=1e-5)
-    assert load_network(whole.weights)[0].training["estimator_neurons"] == [0, 0]
+    assert load_network(whole.weights)[0].training["training_flights"] == 5
 
 
 @pytest.mark.parametrize(
     ("choices", "reason"),
     [
-        ({"control": {"estimator": "att-rnn-paper"}}, "att-rnn-paper is no Att-SNN"),
         ({"quantised": False}, "is trained quantised"),
         ({"data": "x.zarr"}, "leave out data"),
-        (
-            {"control": {"estimator": "att-snn-hummingbird"}, "steps_per_sample": 2},
-            "2, but with the estimator it is 1",
-        ),
         ({"control": {"rounds": 60}}, "should be at least the rounds"),
         ({"control": {"flight_s": 1.0}}, r"should be at most control\.flight_s"),
         ({"control": {"flghts": 3}}, 'did you mean "flights"'),
@@ -222,5 +189,5 @@ def test_a_run_that_was_stopped_ends_with_the_same_weights_which_fly(recipe, tmp
 )
 def test_bad_choices_are_refused_in_one_line(choices, reason):
     with pytest.raises(ValueError, match=reason) as error:
-        make_config("control-separate", **choices)
+        make_config("control-attitude", **choices)
     assert "\n" not in str(error.value)

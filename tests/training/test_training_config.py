@@ -25,11 +25,6 @@ from training.config import Preset, TrainConfig, make_config
         ),
         ({"augmentation": {"accel_noise": -1}}, r"augmentation\.accel_noise = -1"),
         ({"gyro_noise": 0.5}, r'did you mean "augmentation\.gyro_noise"'),
-        (
-            {"later_windows": ((0.5, 1.0), (0.2, 2.0))},
-            r"shares \[0.5, 0.2\], each should be above the one before",
-        ),
-        ({"symmetric": True, "hidden": 4}, r"symmetric: layers of 100 and 4 neurons, at least 8"),
         ({"model": "att-rnn", "hidden": 4}, r"att-rnn: layers of 100 and 4 units, should be equal"),
     ],
 )

@@ -56,16 +56,6 @@ def test_resumed_run_is_the_same_bit_for_bit(saved_after, tmp_path):
     np.testing.assert_array_equal(again.detach(), weights.detach())
 
 
-def test_a_small_error_of_up_costs_what_the_same_error_of_roll_and_pitch_costs():
-    roll_pitch = torch.tensor([[[0.003, -0.004], [0.0, 0.002]]], dtype=torch.float64)
-    truth = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64).expand(1, 2, 3)
-    up = torch.stack([-roll_pitch[..., 1], roll_pitch[..., 0], torch.ones(1, 2)], -1)
-    for threshold in (0.0, 0.001):
-        cost = error_loss(up, truth, threshold).item()
-        level = torch.zeros_like(roll_pitch)
-        assert cost == pytest.approx(error_loss(roll_pitch, level, threshold).item())
-
-
 def test_the_loss_is_quadratic_up_to_the_threshold_and_linear_beyond():
     error = torch.tensor([[[0.03, 0.04], [0.3, -0.4], [0.0, 0.0]]], dtype=torch.float64, requires_grad=True)
     wanted = torch.zeros_like(error)

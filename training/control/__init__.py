@@ -1,1 +1,1 @@
-"""Attitude controllers learnt by imitation: a teacher that has the truth, students that read the IMU."""
+"""Attitude controllers learnt by imitation: a teacher that has the truth, students that read an estimate."""

@@ -51,7 +51,7 @@ class ControlFlights:
     gyro: Float32
     """Measured body rate (n, T, 3) [rad/s]."""
     accel: Float32
-    """Measured specific force, or that of the attitude that is read, (n, T, 3) [m/s²]."""
+    """Specific force at rest at the attitude that is read, (n, T, 3) [m/s²]."""
     set_point: Float32
     """Roll, pitch [rad], yaw rate [rad/s] and thrust per mass [m/s²], (n, T, 4)."""
     target: Float32
@@ -166,8 +166,7 @@ class Pilot:
         turning = with_motion(self.loop.records["set_point"], self.chirps[:, self.k], self.loop.plant.yaw)
         teach_all(turning, truth, wanted, self.teachers)
         taught = np.clip(self.teachers["ang_acc_cmd"], -self.limits, self.limits)
-        read = gravity_of(roll_pitch) if self.config.reads == "attitude" else accel
-        for name, values in zip(SIGNALS, (gyro, read, wanted, taught), strict=True):
+        for name, values in zip(SIGNALS, (gyro, gravity_of(roll_pitch), wanted, taught), strict=True):
             self.log[name][:, self.k] = values
         action = np.concatenate([taught, set_point[:, 3:]], 1)
         if self.student is not None:

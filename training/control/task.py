@@ -19,7 +19,7 @@ from quadsim.seeding import child
 
 from ..config import TrainConfig
 from ..data import Batch, network_inputs
-from ..init import CONTROLLER_START, given_estimator, initialise_from_data
+from ..init import initialise_controller
 from ..models import AttSNN
 from .flights import SIGNALS, ControlFlights, fly, joined
 
@@ -50,7 +50,6 @@ class ControlTask:
         self.config, self.out = config, out
         self.recipe = load_recipe(config.control.recipe)
         self.scale = config.control.error_scale
-        self.estimator = given_estimator(config)
         self.rounds: list[ControlFlights] = []
         self.teacher_deg = math.nan
 
@@ -60,7 +59,7 @@ class ControlTask:
 
     def initial_model(self) -> AttSNN:
         """The network before the first update, after the teacher's flights."""
-        config, steps = self.config, self.config.steps_per_sample
+        config = self.config
         self.rounds = [self._round(0)]
         self.teacher_deg = tracking_deg(self._validation_flights(None))
         long = config.model_copy(update={"window_s": min(INITIAL_S, config.control.flight_s)})
@@ -68,10 +67,8 @@ class ControlTask:
         batch = next(
             windows(self.rounds[0], long, round(long.window_s * self.rate_hz), seed, INITIAL_WINDOWS)
         )
-        model = AttSNN(config, self.estimator.sizes)
-        target = np.repeat(batch.target, steps, 1)
-        x = network_inputs(config, batch).numpy()
-        initialise_from_data(model, x, target, config.seed, CONTROLLER_START, self.estimator)
+        model = AttSNN(config)
+        initialise_controller(model, network_inputs(config, batch).numpy(), batch.target, config.seed)
         return model
 
     def _seeds(self, *key: int, n: int) -> list[np.random.SeedSequence]:
@@ -96,7 +93,7 @@ class ControlTask:
         while len(self.rounds) <= config.round_of(epoch):
             self.rounds.append(self._round(len(self.rounds), student))
         seed = np.random.SeedSequence([config.seed, WINDOWS, epoch])
-        steps = config.steps_in(epoch, self.rate_hz)
+        steps = config.steps(self.rate_hz)
         return windows(joined(self.rounds), config, steps, seed, config.batch_size)
 
     def validate(self, network: NetworkConfig, tensors: Tensors) -> dict[str, float]:
@@ -117,11 +114,7 @@ class ControlTask:
 
     def note(self) -> dict[str, Any]:
         """What the weights say of the flights."""
-        sizes = {
-            "training_flights": sum(map(len, self.rounds)),
-            "estimator_neurons": list(self.estimator.sizes),
-        }
-        return {"vehicles": [self.recipe.vehicle.name]} | sizes
+        return {"vehicles": [self.recipe.vehicle.name], "training_flights": sum(map(len, self.rounds))}
 
 
 def imitation_error(student: SpikingController, flights: ControlFlights, scale: tuple[float, ...]) -> float:

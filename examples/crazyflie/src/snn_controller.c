@@ -34,22 +34,14 @@ void controllerOutOfTreeInit(void) { snn_control_reset(&network); }
 
 bool controllerOutOfTreeTest(void) { return true; }
 
-/* Specific force that the network reads: of the accelerometer, or at rest at the attitude that is estimated. */
-static void specific_force(const sensorData_t *sensors, const state_t *state, double accel[3])
+/* Specific force at rest at the attitude that is estimated, which the network reads. */
+static void specific_force(const state_t *state, double accel[3])
 {
-#if SNN_CONTROL_READS_ATTITUDE
     const float roll = state->attitude.roll * RADIANS;
     const float pitch = -state->attitude.pitch * RADIANS; /* the firmware's is positive nose up */
-    (void)sensors;
     accel[0] = -GRAVITY * sinf(pitch);
     accel[1] = GRAVITY * sinf(roll) * cosf(pitch);
     accel[2] = GRAVITY * cosf(roll) * cosf(pitch);
-#else
-    (void)state;
-    accel[0] = sensors->acc.x * GRAVITY;
-    accel[1] = sensors->acc.y * GRAVITY;
-    accel[2] = sensors->acc.z * GRAVITY;
-#endif
 }
 
 static void run_network(const setpoint_t *setpoint, const sensorData_t *sensors, const state_t *state)
@@ -62,7 +54,7 @@ static void run_network(const setpoint_t *setpoint, const sensorData_t *sensors,
     };
     const double gyro[3] = {sensors->gyro.x * RADIANS, sensors->gyro.y * RADIANS, sensors->gyro.z * RADIANS};
     double accel[3];
-    specific_force(sensors, state, accel);
+    specific_force(state, accel);
     snn_control_set_point(&network, wanted);
     snn_control_encode(&network, gyro, accel);
     snn_control_step(&network);
