@@ -153,7 +153,7 @@ def turned() -> tuple[Array, Array, Array, dict[str, Array]]:
     core = SpikingCircuit(SCALING, circuit, OUTPUT, steps, p.scale[OUTPUT])
     numbers = zero_states(core, 1)[0]
     state = state_of(numbers, len(circuit.start), len(circuit.gate))
-    state.x[:, 2], state.gate[:] = circuit.start, circuit.levels[1]
+    state.x[2], state.gate[:] = circuit.start, circuit.levels[1]
     spikes = no_spikes(len(circuit.start), len(circuit.gate))
     t = np.arange(-2.0, 1.5, 1 / RATE_HZ)
     rate = np.where((t > 0.25) & (t < 0.75), np.pi, 0.0)
@@ -166,10 +166,10 @@ def turned() -> tuple[Array, Array, Array, dict[str, Array]]:
         for _ in range(steps):
             step(numbers, state, circuit, steps, spikes)
             shown["gyroscope"].append(digits(int(spikes.angle[0])))
-            shown["vector"].append(spikes.vectors[OUTPUT].copy())
-            shown["innovations"].append(state.passed.ravel().copy())
+            shown["vector"].append(spikes.vectors[:, OUTPUT].copy())
+            shown["innovations"].append(state.passed.T.ravel().copy())
             shown["gates"].append(spikes.gates.copy())
-            estimated.append(np.arctan2(state.x[OUTPUT, 1], state.x[OUTPUT, 2]))
+            estimated.append(np.arctan2(state.x[1, OUTPUT], state.x[2, OUTPUT]))
     fine = t[0] + np.arange(len(estimated)) / (steps * RATE_HZ)
     both = np.stack([np.repeat(roll, steps), estimated], 1)
     return fine, np.repeat(rate, steps), both, {name: np.array(each) for name, each in shown.items()}

@@ -168,7 +168,8 @@ def _euler(q, out):
 
 
 @njit(cache=True)
-def _roll_pitch_of_up(v, out):
+def roll_pitch_rows(v, out):
+    """`roll_pitch_of_up` of rows (n, 3), written into rows (n, 2)."""
     for i in range(len(out)):
         out[i, 0], out[i, 1] = roll_pitch_of_up_core(v[i, 0], v[i, 1], v[i, 2])
 
@@ -281,7 +282,7 @@ def roll_pitch_of_up(up: ArrayLike) -> Array:
 
     roll = atan2(u_y, u_z), pitch = atan2(-u_x, √(u_y² + u_z²)).
     """
-    return _over_arrays(_roll_pitch_of_up, 2, _components("up", up, 3))
+    return _over_arrays(roll_pitch_rows, 2, _components("up", up, 3))
 
 
 def quat_from_euler(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> Array:

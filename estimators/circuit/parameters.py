@@ -143,10 +143,10 @@ def quantised(p: Parameters, steps: int) -> Circuit:
     sense = felt * np.array([FORCE, TURN_RATE / FELT_RATE, s[0], 1.0]) * 64
     kappa = _weights(p.learn * h * s[p.pairs[:, 0]] / BIAS_RATE * (1 << BIAS_BITS))
     return Circuit(
-        mix=_weights(_axes(p.mix * h * s / s[:, None]) * ONE),
+        mix=_weights(_axes((p.mix * h * s / s[:, None]).swapaxes(1, 2)) * ONE),
         pull=_weights(_axes(p.pull * h / s) * FORCE * ONE),
         give=_weights(_axes(p.give.swapaxes(0, 1) * h / s) * ONE),
-        take=_weights(_axes(p.take.swapaxes(0, 1) * s) * smooth / 4096 * INNOVATION),
+        take=_weights(_axes((p.take * s).transpose(1, 2, 0)) * smooth / 4096 * INNOVATION),
         read=_weights(_axes(p.read.T) * FORCE * smooth / 4096 * INNOVATION),
         gate=_weights(p.gate * decays[:, None] / 4096 * ONE),
         levels=np.stack(

@@ -75,17 +75,20 @@ half after the middle of the spikes that it multiplied; with the lead, its lengt
 _GOLDEN = np.argsort(np.argsort(np.arange(31) * (5**0.5 - 1) / 2 % 1))
 RING = (ONE * (_GOLDEN + 0.5) / len(_GOLDEN)).astype(np.int32)
 """Thresholds of gates and of what feels, step by step: 31 levels, spread evenly over any short time."""
+_HALVES = (3 ** np.arange(ANGLE_DIGITS) - 1) // 2
+DIGITS = ((np.arange(ANGLE_MAX + 1)[:, None] + _HALVES) // 3 ** np.arange(ANGLE_DIGITS) % 3 > 0).sum(1)
+"""How many of the balanced ternary digits of a number are not 0."""
 EVENTS = ("angles", "vectors", "coincidences", "innovations", "gates", "felt", "bias", "learning", "forces")
 """Kinds of spikes that a circuit counts, each of the unsigned ones."""
 
 
 class Circuit(NamedTuple):
-    """Integer parameters, in membrane units a spike; the first axis of `mix` to `read` is the body's."""
+    """Integer parameters, in membrane units a spike; the axes of `mix` to `read` are the body's, from and to."""
 
-    mix: Int32s  #: A, of vectors by vectors (3, V, V)
+    mix: Int32s  #: A, from vectors to vectors (3, V, V)
     pull: Int32s  #: B, of vectors by a quantum of force (3, V)
-    give: Int32s  #: K, of vectors by innovations that passed (3, Q, V)
-    take: Int32s  #: P, of innovations by vectors (3, Q, V)
+    give: Int32s  #: K, from innovations that passed to vectors (3, Q, V)
+    take: Int32s  #: P, from vectors to innovations (3, V, Q)
     read: Int32s  #: R, of innovations by a quantum of force (3, Q)
     gate: Int32s  #: W, of gates by what is felt (Q, 5)
     levels: Int32s  #: bias, start and decay of each gate, and the decay of its innovation (4, Q)
@@ -99,12 +102,12 @@ class State(NamedTuple):
 
     angle: Int32s  #: of the gyroscope, that no spike has yet represented (3,)
     force: Int32s  #: of the accelerometer (3,)
-    x: Int32s  #: vectors (V, 3)
-    y: Int32s  #: their somas (V, 3)
-    turned: Int32s  #: what coincidences of the step before take from them (V, 3)
-    drive: Int32s  #: f, innovations, smoothed (Q, 3)
-    z: Int32s  #: their somas (Q, 3)
-    passed: Int32s  #: d, their spikes (Q, 3)
+    x: Int32s  #: vectors (3, V)
+    y: Int32s  #: their somas (3, V)
+    turned: Int32s  #: what coincidences of the step before take from them (3, V)
+    drive: Int32s  #: f, innovations, smoothed (3, Q)
+    z: Int32s  #: their somas (3, Q)
+    passed: Int32s  #: d, their spikes (3, Q)
     felt: Int32s  #: h: force, rate and surprise (3, 3)
     gate: Int32s  #: g (Q,)
     bias: Int32s  #: b, its soma, its spikes, and what it gets next (4, 3)
@@ -115,7 +118,7 @@ class State(NamedTuple):
 class Spikes(NamedTuple):
     """Spikes of one step."""
 
-    vectors: Int32s  #: s (V, 3)
+    vectors: Int32s  #: s (3, V)
     angle: Int32s  #: n_ω (3,)
     force: Int32s  #: n_a (3,)
     heard: Int32s  #: ρ (5,)
@@ -126,7 +129,7 @@ class Spikes(NamedTuple):
 def no_spikes(vectors, gates):
     """Room for the spikes of a step."""
     return Spikes(
-        np.zeros((vectors, 3), np.int32),
+        np.zeros((3, vectors), np.int32),
         np.zeros(3, np.int32),
         np.zeros(3, np.int32),
         np.zeros(5, np.int32),
@@ -148,17 +151,42 @@ def state_of(row, vectors, gates):
     return State(
         row[MISSING + 1 : MISSING + 4],
         row[MISSING + 4 : MISSING + 7],
-        x.reshape(vectors, 3),
-        y.reshape(vectors, 3),
-        turned.reshape(vectors, 3),
-        drive.reshape(gates, 3),
-        z.reshape(gates, 3),
-        passed.reshape(gates, 3),
+        x.reshape(3, vectors),
+        y.reshape(3, vectors),
+        turned.reshape(3, vectors),
+        drive.reshape(3, gates),
+        z.reshape(3, gates),
+        passed.reshape(3, gates),
         felt.reshape(3, 3),
         gate,
         row[at : at + 12].reshape(4, 3),
         row[at + 12 : at + 13],
         row[at + 13 :],
+    )
+
+
+@njit(inline="always")
+def circuit_of(row, vectors, gates):
+    """`Circuit` of a row of its numbers."""
+    v, q = 3 * vectors, 3 * gates
+    mix, row = row[: v * vectors], row[v * vectors :]
+    pull, row = row[:v], row[v:]
+    give, row = row[: q * vectors], row[q * vectors :]
+    take, row = row[: q * vectors], row[q * vectors :]
+    read, row = row[:q], row[q:]
+    gate, row = row[: 5 * gates], row[5 * gates :]
+    levels, row = row[: 4 * gates], row[4 * gates :]
+    return Circuit(
+        mix.reshape(3, vectors, vectors),
+        pull.reshape(3, vectors),
+        give.reshape(3, gates, vectors),
+        take.reshape(3, vectors, gates),
+        read.reshape(3, gates),
+        gate.reshape(gates, 5),
+        levels.reshape(4, gates),
+        row[:5],
+        row[5:-vectors].reshape(-1, 3),
+        row[-vectors:],
     )
 
 
@@ -180,34 +208,32 @@ class SpikingCircuit:
         sizes = [3, 3, *[3 * vectors] * 3, *[3 * gates] * 3, 9, gates, 12, 1, len(EVENTS)]
         kept = zip(State._fields, sizes, strict=True)
         self.state = np.dtype([*encoder_fields(np.int32), *((name, np.int32, size) for name, size in kept)])
-        self.arrays = np.array([*np.ravel(scaling), steps, output, unit / ONE]), *circuit
+        settings = np.array([*np.ravel(scaling), steps, output, unit / ONE, vectors, gates])
+        self.arrays = settings, np.concatenate([np.ravel(each) for each in circuit])
         self.kernel, self.circuit, self.steps = run_circuit, circuit, steps
 
 
 @njit(cache=True, nogil=True)
-def run_circuit(
-    gyro, accel, set_points, settings,
-    mix, pull, give, take, read, gate, levels, sense, learn, start, states, out,
-):  # fmt: skip
+def run_circuit(gyro, accel, set_points, settings, numbers, states, out):
     """Run n copies over whole sequences, or one sample, from and to their states; see `NetworkCore`."""
-    circuit = Circuit(mix, pull, give, take, read, gate, levels, sense, learn, start)
     scaling = Scaling(settings[:6], settings[6:12])
     steps, output, unit = int(settings[12]), int(settings[13]), settings[14]
-    spikes = no_spikes(start.size, gate.shape[0])
+    vectors, gates = int(settings[15]), int(settings[16])
+    circuit, spikes = circuit_of(numbers, vectors, gates), no_spikes(vectors, gates)
     for copy in range(states.shape[0]):
         row = states[copy]
-        state = state_of(row, start.size, gate.shape[0])
+        state = state_of(row, vectors, gates)
         if state.ring[0] == 0:
-            for m in range(start.size):
-                state.x[m, 2] = start[m]
-            for q in range(gate.shape[0]):
-                state.gate[q] = levels[1, q]
+            for m in range(vectors):
+                state.x[2, m] = circuit.start[m]
+            for q in range(gates):
+                state.gate[q] = circuit.levels[1, q]
         for t in range(gyro.shape[1] // 3):
             encode_sample(gyro[copy, 3 * t : 3 * t + 3], accel[copy, 3 * t : 3 * t + 3], scaling, row)
             for _ in range(steps):
                 step(row, state, circuit, steps, spikes)
             for i in range(3):
-                out[copy, 3 * t + i] = state.x[output, i] * unit - (i == 2)
+                out[copy, 3 * t + i] = state.x[i, output] * unit - (i == 2)
 
 
 @njit
@@ -246,36 +272,25 @@ def _quanta(waiting, units, most):
 
 
 @njit
-def _digits(n):
-    """How many of the balanced ternary digits of n are not 0."""
-    count, rest = 0, abs(n)
-    while rest:
-        digit = (rest + 1) % 3 - 1
-        rest = (rest - digit) // 3
-        count += abs(digit)
-    return count
-
-
-@njit
 def _encode(row, state, n_w, n_a):
     """Spikes of the encoders, on the host."""
     for i in range(3):
         told = row[i] - BIAS_UNITS * state.bias[2, i]
         n_w[i], state.angle[i] = _quanta(state.angle[i] + told, ANGLE_UNITS, ANGLE_MAX)
         n_a[i], state.force[i] = _quanta(state.force[i] + row[3 + i], FORCE_UNITS, FORCE_MAX)
-        state.events[0] += _digits(n_w[i])
-        state.events[8] += _digits(n_a[i])
+        state.events[0] += DIGITS[abs(n_w[i])]
+        state.events[8] += DIGITS[abs(n_a[i])]
 
 
 @njit
 def _fire(state, s):
     """Spikes of the vectors and of the bias."""
-    for m in range(s.shape[0]):
-        for i in range(3):
-            v = _clipped(state.y[m, i] + state.x[m, i])
-            s[m, i] = _spike(v, ONE_BITS)
-            state.y[m, i] = v - (s[m, i] << ONE_BITS)
-            state.events[1] += abs(s[m, i])
+    for i in range(3):
+        for m in range(s.shape[1]):
+            v = _clipped(state.y[i, m] + state.x[i, m])
+            s[i, m] = _spike(v, ONE_BITS)
+            state.y[i, m] = v - (s[i, m] << ONE_BITS)
+            state.events[1] += abs(s[i, m])
     bias, soma, spikes, due = state.bias
     for i in range(3):
         v = _clipped(soma[i] + bias[i])
@@ -306,7 +321,7 @@ def _feel(state, sense, threshold, n_w, n_a, s, heard):
         still = sense[4] if i == 2 else 0
         state.felt[0, i] = _clipped(decay(state.felt[0, i], sense[0]) + push - still)
         state.felt[1, i] = _clipped(decay(state.felt[1, i], sense[0]) + sense[2] * n_w[i])
-        state.felt[2, i] = _clipped(decay(state.felt[2, i], sense[0]) + push - sense[3] * s[0, i])
+        state.felt[2, i] = _clipped(decay(state.felt[2, i], sense[0]) + push - sense[3] * s[i, 0])
 
 
 @njit
@@ -322,21 +337,21 @@ def _hear(state, circuit, heard):
 @njit
 def _advance(state, circuit, s, n_a):
     """The vectors: what they mix, are pulled, corrected and turned by."""
-    x, vectors, gates = state.x, s.shape[0], state.passed.shape[0]
+    x, vectors, gates = state.x, s.shape[1], state.passed.shape[1]
     for i in range(3):
         for m in range(vectors):
-            x[m, i] += circuit.pull[i, m] * n_a[i] - state.turned[m, i]
-            state.y[m, i] = _clipped(state.y[m, i] - state.turned[m, i] * LEAD // 2)
+            x[i, m] += circuit.pull[i, m] * n_a[i] - state.turned[i, m]
+            state.y[i, m] = _clipped(state.y[i, m] - state.turned[i, m] * LEAD // 2)
         for n in range(vectors):
-            if s[n, i]:
+            if s[i, n]:
                 for m in range(vectors):
-                    x[m, i] += circuit.mix[i, m, n] * s[n, i]
+                    x[i, m] += circuit.mix[i, n, m] * s[i, n]
         for q in range(gates):
-            if state.passed[q, i]:
+            if state.passed[i, q]:
                 for m in range(vectors):
-                    x[m, i] += circuit.give[i, q, m] * state.passed[q, i]
+                    x[i, m] += circuit.give[i, q, m] * state.passed[i, q]
         for m in range(vectors):
-            x[m, i] = _clipped(x[m, i])
+            x[i, m] = _clipped(x[i, m])
 
 
 @njit
@@ -345,10 +360,10 @@ def _turn(state, n_w, s, steps):
     weight = (ONE >> TURN_BITS) // steps
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
-        about_j, about_k = _digits(n_w[j]), _digits(n_w[k])
-        for m in range(s.shape[0]):
-            state.turned[m, i] = (n_w[j] * s[m, k] - n_w[k] * s[m, j]) * weight
-            state.events[2] += abs(s[m, k]) * about_j + abs(s[m, j]) * about_k
+        about_j, about_k = DIGITS[abs(n_w[j])], DIGITS[abs(n_w[k])]
+        for m in range(s.shape[1]):
+            state.turned[i, m] = (n_w[j] * s[k, m] - n_w[k] * s[j, m]) * weight
+            state.events[2] += abs(s[k, m]) * about_j + abs(s[j, m]) * about_k
 
 
 @njit
@@ -359,19 +374,19 @@ def _innovate(state, circuit, opened, s, n_a):
         m, q, kappa = circuit.learn[p]
         for i in range(3):
             j, k = (i + 1) % 3, (i + 2) % 3
-            there, back = s[m, j] * passed[q, k], s[m, k] * passed[q, j]
+            there, back = s[j, m] * passed[k, q], s[k, m] * passed[j, q]
             due[i] += kappa * (there - back)
             state.events[7] += abs(there) + abs(back)
     for i in range(3):
         for q in range(opened.size):
-            v = _clipped(state.z[q, i] + opened[q] * state.drive[q, i])
+            v = _clipped(state.z[i, q] + opened[q] * state.drive[i, q])
             spike = _spike(v, INNOVATION_BITS)
-            passed[q, i], state.z[q, i] = spike, v - (spike << INNOVATION_BITS)
+            passed[i, q], state.z[i, q] = spike, v - (spike << INNOVATION_BITS)
             state.events[3] += abs(spike)
-            state.drive[q, i] = decay(state.drive[q, i], circuit.levels[3, q]) + circuit.read[i, q] * n_a[i]
-        for m in range(s.shape[0]):
-            if s[m, i]:
+            state.drive[i, q] = decay(state.drive[i, q], circuit.levels[3, q]) + circuit.read[i, q] * n_a[i]
+        for m in range(s.shape[1]):
+            if s[i, m]:
                 for q in range(opened.size):
-                    state.drive[q, i] += circuit.take[i, q, m] * s[m, i]
+                    state.drive[i, q] += circuit.take[i, m, q] * s[i, m]
         for q in range(opened.size):
-            state.drive[q, i] = _clipped(state.drive[q, i])
+            state.drive[i, q] = _clipped(state.drive[i, q])

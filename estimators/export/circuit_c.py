@@ -413,9 +413,9 @@ def _integers(circuit: spikes.Circuit) -> dict[str, int | str]:
         "felt_still": still,
     }
     for name, weights in (
-        ("mix", circuit.mix.swapaxes(1, 2)),
+        ("mix", circuit.mix),
         ("give", circuit.give),
-        ("take", circuit.take.swapaxes(1, 2)),
+        ("take", circuit.take),
     ):
         found[name], found[f"from_{name}"] = map(_braces, _words(weights[DIRECTIONS].astype(np.int64)))
     rows = zip(level.tolist(), decays.tolist(), circuit.gate, strict=True)
@@ -453,8 +453,8 @@ def _check(circuit: spikes.Circuit) -> None:
         raise ValueError("C99 needs weights and initial values within 24 bits")
     turned = 2 * spikes.ANGLE_MAX << (spikes.ONE_BITS - spikes.TURN_BITS)
     sums = (
-        c.mix.sum(2) + c.give.sum(1) + c.pull * spikes.FORCE_MAX + turned,
-        c.take.sum(2) + c.read * spikes.FORCE_MAX,
+        c.mix.sum(1) + c.give.sum(1) + c.pull * spikes.FORCE_MAX + turned,
+        c.take.sum(1) + c.read * spikes.FORCE_MAX,
         c.gate @ HEARD,
         c.sense[1:] * spikes.ANGLE_MAX + c.sense[3] + c.sense[4],
         2 * c.learn[:, 2].sum(keepdims=True),

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from quadsim.estimator import OtherSensors
-from quadsim.rotation import roll_pitch_of_up
+from quadsim.rotation import roll_pitch_of_up, roll_pitch_rows
 
 from .forward import Spiking
 from .gru import Recurrent
@@ -182,7 +182,8 @@ class NetworkEstimator(BatchedNetwork):
         if self.up is None:
             return out
         self.up = out + LEVEL_UP
-        return roll_pitch_of_up(self.up)
+        roll_pitch_rows(self.up, roll_pitch := np.empty((len(out), 2)))
+        return roll_pitch
 
     def sequence(self, gyro: ArrayLike, accel: ArrayLike, **sensors: Unpack[OtherSensors]) -> Array:
         """Take T samples, (n, T, 3) twice; the same numbers as T calls of `update`, (n, T, 2)."""

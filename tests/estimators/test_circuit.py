@@ -187,7 +187,7 @@ class PlainCircuit:
         )
         turned = self.coincident
         for i in range(3):
-            self.x[:, i] += c.mix[i].astype(int) @ s[:, i] + c.pull[i] * n_a[i] - turned[:, i]
+            self.x[:, i] += c.mix[i].astype(int).T @ s[:, i] + c.pull[i] * n_a[i] - turned[:, i]
             self.x[:, i] += c.give[i].astype(int).T @ self.d[:, i]
         self.x = np.vectorize(clip)(self.x)
         self.y = np.vectorize(clip)(self.y - turned * 3 // 2)
@@ -198,7 +198,7 @@ class PlainCircuit:
         self.d = np.vectorize(signed)(total, INNOVATION)
         self.z = total - INNOVATION * self.d
         for i in range(3):
-            taken = c.take[i].astype(int) @ s[:, i] + c.read[i] * n_a[i]
+            taken = c.take[i].astype(int).T @ s[:, i] + c.read[i] * n_a[i]
             self.f[:, i] = [
                 clip(keep(f, d) + t) for f, d, t in zip(self.f[:, i], c.levels[3], taken, strict=True)
             ]
@@ -238,7 +238,8 @@ def test_the_kernel_is_the_circuit_neuron_by_neuron(steps):
             ("gate", plain.g),
             ("felt", plain.h),
         ):
-            np.testing.assert_array_equal(state[name], value.ravel(), name)
+            axes_first = value.T if name in ("x", "y", "z") else value
+            np.testing.assert_array_equal(state[name], axes_first.ravel(), name)
         np.testing.assert_array_equal(state["bias"][:3], plain.b)
         spikes += np.abs(plain.d).sum()
     assert spikes > 50
