@@ -146,10 +146,6 @@ class TrainConfig(TrainingRecipe):
     """Datasets to train on; a controller has none."""
     validation: tuple[str, ...] = ()
     """Datasets to choose the best epoch by; none: a part of `data`, 70/20/10 by flight."""
-    folds: Annotated[int, Between(0, 1000)] = 0
-    """Parts into which the flights of `data` are dealt, one of them held out as a test; 0: no test."""
-    fold: Annotated[int, Between(0, 999)] = 0
-    """The part that is held out, counted from 0."""
     seed: Annotated[int, Between(0, 2**63 - 1)] = 0
     """Of the initial weights, the split, the windows and the sensor errors."""
     threads: Annotated[int, Between(1, 1024)] = 1

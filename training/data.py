@@ -108,8 +108,8 @@ def _read(path: Path) -> TrainingFlights:
     return TrainingFlights(*measured, up=up.astype(np.float32), rate_hz=rate_hz, vehicles=vehicles)
 
 
-def flights_of(config: TrainConfig) -> tuple[TrainingFlights, TrainingFlights, TrainingFlights]:
-    """The flights to train on, to choose the best epoch by, and to test on (of `data`; may be none).
+def flights_of(config: TrainConfig) -> tuple[TrainingFlights, TrainingFlights]:
+    """The flights to train on, and to choose the best epoch by.
 
     Raises:
         ValueError: Too few flights, or too short ones, or datasets that do not go together.
@@ -122,18 +122,13 @@ def flights_of(config: TrainConfig) -> tuple[TrainingFlights, TrainingFlights, T
         raise ValueError(
             f"windows of {steps} samples, but the flights have {available}: give a smaller window_s"
         )
-    if config.folds:
-        parts = fold_split(len(flights), config.folds, config.fold, config.seed)
-    elif config.validation:
-        parts = [np.arange(len(flights)), [], []]
-    else:
-        parts = split(len(flights), config.seed)
-    train, validation, test = (flights.select(ids) for ids in parts)
-    if config.validation:
-        validation, rate = load_training_flights(config.validation), flights.rate_hz
-        if validation.rate_hz != rate:
-            raise ValueError(f"validation at {validation.rate_hz:g} Hz, but the data are at {rate:g} Hz")
-    return train, validation, test
+    if not config.validation:
+        train, choose, _ = split(len(flights), config.seed)
+        return flights.select(train), flights.select(choose)
+    validation, rate = load_training_flights(config.validation), flights.rate_hz
+    if validation.rate_hz != rate:
+        raise ValueError(f"validation at {validation.rate_hz:g} Hz, but the data are at {rate:g} Hz")
+    return flights, validation
 
 
 def split(flights: int, seed: int) -> list[NDArray]:
@@ -147,24 +142,6 @@ def split(flights: int, seed: int) -> list[NDArray]:
     order = np.random.default_rng(np.random.SeedSequence(seed)).permutation(flights)
     last, middle = max(1, round(0.1 * flights)), max(1, round(0.2 * flights))
     return [np.sort(order[: -last - middle]), np.sort(order[-last - middle : -last]), np.sort(order[-last:])]
-
-
-def fold_split(flights: int, folds: int, fold: int, seed: int) -> list[NDArray]:
-    """Ids of the training, validation and test flights of one fold: the test flights are its part of all.
-
-    Two ninths of the others choose the epoch, as in the 70/20/10 of `split`.
-
-    Raises:
-        ValueError: Fewer than two folds, no such fold, or too few flights for as many.
-    """
-    if folds < 2 or not 0 <= fold < folds:
-        raise ValueError(f"fold {fold} of {folds}: there must be at least 2, counted from 0")
-    if flights < max(folds, 3):
-        raise ValueError(f"{folds} folds need at least {max(folds, 3)} flights, got {flights}")
-    parts = np.array_split(np.random.default_rng(np.random.SeedSequence(seed)).permutation(flights), folds)
-    others = np.concatenate(parts[:fold] + parts[fold + 1 :])
-    chosen = max(1, round(len(others) * 2 / 9))
-    return [np.sort(others[chosen:]), np.sort(others[:chosen]), np.sort(parts[fold])]
 
 
 COHORTS = 8
@@ -249,7 +226,7 @@ class AttitudeTask:
 
     def __init__(self, config: TrainConfig) -> None:
         self.config = config
-        self.flights, self.validation, _ = flights_of(config)
+        self.flights, self.validation = flights_of(config)
         self.rate_hz = self.flights.rate_hz
 
     def contents(self) -> dict[str, str]:

@@ -83,7 +83,7 @@ EVENTS = ("angles", "vectors", "coincidences", "innovations", "gates", "felt", "
 
 
 class Circuit(NamedTuple):
-    """Integer parameters, in membrane units a spike; the axes of `mix` to `read` are the body's, from and to."""
+    """Integer parameters, in membrane units a spike; axes of `mix` to `read`: the body's, from, to."""
 
     mix: Int32s  #: A, from vectors to vectors (3, V, V)
     pull: Int32s  #: B, of vectors by a quantum of force (3, V)

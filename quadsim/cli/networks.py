@@ -6,14 +6,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..runs.console import Bar, pool_of, progress_bar
+from ..runs.console import Bar, progress_bar
 from ..runs.console import output as console
 from ..runs.pool import process_count
 from .options import (
     Fields,
     Initial,
     LearningSeed,
-    Pool,
     Preset,
     Search,
     fields_of,
@@ -23,7 +22,7 @@ from .options import (
 if TYPE_CHECKING:
     from training.config import TrainConfig
 
-TRAINED = ("model", "preset", "data", "validation", "folds", "fold", "seed", "out", "progress")
+TRAINED = ("model", "preset", "data", "validation", "seed", "out", "progress")
 """Settings of a training that have an option of their own, or follow from others."""
 
 
@@ -31,10 +30,7 @@ def train(
     out: Annotated[Path, typer.Option(help="Folder for the run, for example runs/snn.")],
     data: Annotated[
         list[Path] | None,
-        typer.Option(
-            help="Dataset to train on; repeat the option to mix several, or with --folds to add a domain. "
-            "Controllers take none."
-        ),
+        typer.Option(help="Dataset to train on; repeat the option to mix several. Controllers take none."),
     ] = None,
     model: Annotated[
         str,
@@ -53,15 +49,6 @@ def train(
     epochs: Annotated[
         int | None, typer.Option(min=1, help="Maximum number of epochs; default: the preset's.")
     ] = None,
-    folds: Annotated[
-        int | None,
-        typer.Option(
-            min=2,
-            help="Cross-validation: split the flights of each --data into this many parts, train without "
-            "each part in turn, and test on that part and on the other datasets.",
-        ),
-    ] = None,
-    workers: Pool = None,
     set_: Fields = None,
     seed: LearningSeed = 0,
 ) -> None:
@@ -74,14 +61,10 @@ def train(
     The run folder gets the weights, the losses and their plot. Ctrl-C keeps what there is, and the same
     command continues the run.
 
-    With --folds, the command writes the paper's Table 1 (table1.csv), all folds (kfold.csv) and a run folder
-    for each fold. --workers sets the number of folds that run in parallel.
-
     Example: quadsim train --data data/train.zarr --validation data/val.zarr --out runs/snn
 
-    Example: quadsim train --preset paper --data data/a.zarr --data data/b.zarr --folds 5 --out runs/kfold
     """
-    choices = fields_of(set_, *TRAINED, "workers", "executor")
+    choices = fields_of(set_, *TRAINED)
     if epochs is not None:
         choices["epochs"] = epochs
     if validation:
@@ -89,14 +72,12 @@ def train(
     from training.circuit.config import is_recipe
 
     if is_recipe(preset):
-        layered = {"--model": model != "att-snn", "--folds": folds, "--epochs": epochs}
+        layered = {"--model": model != "att-snn", "--epochs": epochs}
         if wrong := [option for option, given in layered.items() if given]:
             raise ValueError(
                 f"{wrong[0]} is not for the circuit of {preset}: leave it out, or give --preset paper"
             )
         _train_circuit(out, data or [], preset, choices | {"seed": seed})
-    elif folds:
-        _cross_validate(out, data or [], model, preset, folds, workers, choices | {"seed": seed})
     else:
         _train_network(out, data or [], model, preset, choices | {"seed": seed})
 
@@ -141,30 +122,6 @@ def _train_circuit(out: Path, data: list[Path], preset: str, choices: dict[str, 
         before = f", {trained.before[name]:.2f}° before" if run.init else ""
         console.print(f"{name}: {error:.2f}° mean absolute error{before}", soft_wrap=True)
     console.print(f"{trained.weights}: {run.updates} updates", soft_wrap=True)
-
-
-def _cross_validate(
-    out: Path,
-    data: list[Path],
-    model: str,
-    preset: str,
-    folds: int,
-    workers: str | None,
-    choices: dict[str, Any],
-) -> None:
-    from training.kfold import best as best_of
-    from training.kfold import kfold, table, terminal_table
-
-    with pool_of(workers) as (count, executor), progress_bar("folds", "epochs") as progress:
-        scores = kfold(data, out, [model], preset, folds, count, executor, progress, **choices)
-    cells = table(scores)
-    console.print(terminal_table(cells))
-    for score in scores:
-        if score["flaw"]:
-            where = "fold {fold} of {model} on {trained_on}, tested on {tested_on}".format(**score)
-            console.print(f"{where}: {score['flaw']}", soft_wrap=True, markup=False)
-    best = "{model} on unseen flights of {trained_on}: {mean_deg:.2f} ± {sd_deg:.2f}° over {folds} folds"
-    console.print(f"{out / 'table1.csv'}: {best.format(**best_of(cells))}", soft_wrap=True)
 
 
 def tune(

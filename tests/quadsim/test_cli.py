@@ -55,7 +55,6 @@ def dataset(quadsim, tmp_path):
         "evaluate --data flights.zarr --estimator mahony",
         "train --data flights.zarr",
         "train --preset control-attitude",
-        "train --preset paper --data flights.zarr --folds 2",
         "report att-snn-paper --data flights.zarr",
     ],
 )
@@ -122,8 +121,8 @@ def test_every_verb_has_help_of_its_own():
         ),
         (["train", "--data", "missing.zarr", "--out", "run", "--set", "validation=3"], "option of its own"),
         (
-            ["train", "--data", "missing.zarr", "--out", "run", "--folds", "2"],
-            "--folds is not for the circuit",
+            ["train", "--data", "missing.zarr", "--out", "run", "--epochs", "2"],
+            "--epochs is not for the circuit",
         ),
         (["tune", "--estimator", "mahony", "--data", "missing.zarr", "--out", "x.toml"], "missing.zarr"),
         (["evaluate", "--data", "missing.zarr"], "missing.zarr"),
