@@ -9,12 +9,13 @@ run: install  ## Generate flights, score the estimators, fly them through four s
 test: tools  ## The whole suite
 	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto
 
-check: tools  ## Linter, formatter, type checker, import contract, and pages that were edited since they were made
+check: tools  ## Linter, formatter, type checker, import contract, pages that were edited since they were made, words
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/basedpyright
 	$(BIN)/lint-imports
 	$(BIN)/python docs/pages.py --check
+	$(BIN)/python docs/words.py
 
 install: .venv/installed  ## What flies, compares and reports
 

@@ -53,7 +53,7 @@ def chosen(only: str | None) -> list[str]:
     """The tables and figures asked for as "table1,fig5"; None for all of them.
 
     Raises:
-        ValueError: There is no such thing, with the nearest that there is.
+        ValueError: There is no such item; the message names the nearest.
     """
     if only is None:
         return list(ITEMS)

@@ -31,7 +31,7 @@ class Readings(NamedTuple):
 
     @property
     def others(self) -> dict[str, Array]:
-        """The readings beside the IMU's that there are."""
+        """The readings of the sensors beside the IMU, where present."""
         return {name: getattr(self, name) for name in OTHERS if getattr(self, name) is not None}
 
     def give(self, update: Callable[..., Array], accepted: Iterable[str]) -> Array:

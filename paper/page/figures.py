@@ -1,4 +1,4 @@
-"""Figures in the paper's forms, from the stages' numbers; told apart by line and marker in grey too."""
+"""Figures in the paper's forms, from the stages' numbers; distinguished by line and marker in grey too."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -24,7 +24,7 @@ class AttitudeController(Protocol):
     """Follows set-points of attitude for n vehicles, one sample at a time."""
 
     def reset(self, n: int) -> None:
-        """Start n vehicles. With `restart(ids)` too, single ones can start anew."""
+        """Start n vehicles. A controller that also has `restart(ids)` can start single ones again."""
         ...
 
     def update(self, set_point: Array, gyro: Array, accel: Array, roll_pitch: Array) -> Array:
@@ -33,7 +33,7 @@ class AttitudeController(Protocol):
         Args:
             set_point: (n, 4) roll, pitch [rad], yaw rate [rad/s] and collective thrust per mass [m/s²].
             gyro: (n, 3) measured body rate [rad/s]; the last valid one where a sample is missing.
-            accel: (n, 3) measured specific force [m/s²], likewise.
+            accel: (n, 3) measured specific force [m/s²]; the last valid one where a sample is missing.
             roll_pitch: (n, 2) estimated roll and pitch [rad].
 
         Returns:

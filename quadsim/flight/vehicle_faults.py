@@ -13,7 +13,7 @@ from ..vehicle import MAX_ROTORS
 
 
 class LeverArm(Strict):
-    """The IMU sits off the centre of mass, and nobody says so."""
+    """The IMU sits off the centre of mass, and no estimator knows it."""
 
     kind: Literal["lever-arm"]
     position: Arm

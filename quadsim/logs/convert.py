@@ -15,7 +15,7 @@ from ..runs.console import say
 from ..runs.files import alone
 
 READ = {"gyro": "gyro", "accel": "accel", "ang_vel": "gyro", "specific_force": "accel", "quat": "quat"}
-"""Variable of a dataset to the one of a log that it repeats: nobody knows the true rate and force."""
+"""Variable of a dataset to the one of a log that it repeats: the true rate and force are not known."""
 WIDTH = {name: len(LABELS[each.dim]) for name, each in VARIABLES.items()}
 
 

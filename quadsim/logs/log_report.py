@@ -49,7 +49,7 @@ DOWNWARD = (
     'it points down: frame = "frd" for forward-right-down axes in north-east-down, or accel.negate = true '
     "for a log of gravity in place of specific force"
 )
-"""What is amiss where the mean force is upside down."""
+"""Reported where the mean force is upside down."""
 UNSCORED = "no attitude in this log: it can be run, not scored"
 LARGE_BIAS, LEAST_REST_S = np.radians(1.0), 3.0
 """Rate at rest [rad/s] that is reported where no truth shows the bias, over at least this time [s]."""

@@ -219,7 +219,7 @@ def _gl_context(width: int, height: int) -> _Context:
     """A headless OpenGL context.
 
     MuJoCo chooses its backend from an environment variable when it is first imported; here the backends are
-    tried in turn instead, so that nobody has to set anything. PyOpenGL serves only one of them at a time and
+    tried in turn instead, so that no variable has to be set. PyOpenGL serves only one of them at a time and
     is loaded again for the next.
     """
     reasons = []

@@ -83,7 +83,7 @@ def verdict(results: Results) -> Verdict:
 
 
 def choice(results: Results, scenarios: Sequence[str]) -> Choice:
-    """What to fly in some of the scenarios; those that nobody survives do not count."""
+    """What to fly in some of the scenarios; those in which every flight crashes do not count."""
     measure, unranked = measure_of(results.estimators), results.unranked
     flights = [f for f in results.flights if f.scenario in scenarios and f.estimator not in unranked]
     safe = {flight.scenario for flight in flights if not flight.cause}

@@ -43,7 +43,6 @@ TINY = sizes_of("quick") | dict(
     snn=SHORT,
     rnn=SHORT,
     fold=SHORT,
-    ours=SHORT,
     rates_hz=(100.0,),
     rate_flights=3,
     rate=SHORT,

@@ -35,7 +35,7 @@ class Excitation:
     pulse: float = 15.0
     """Largest pulse of angular acceleration about roll and pitch, a tenth of it about yaw [rad/s²]."""
     noise: float = 3.0
-    """Standard deviation of a slowly varying disturbance of the command, likewise [rad/s²]."""
+    """Standard deviation of a slowly varying disturbance of the command, about yaw a tenth of it [rad/s²]."""
     rotor_spread: float = 0.06
     """Largest loss of thrust of a rotor, as a share: a constant torque, as of a displaced centre of mass."""
     battery: float = 0.8

@@ -1,4 +1,4 @@
-"""Interacting multiple models: one filter for an airframe that nobody has described.
+"""Interacting multiple models: one filter for an airframe without a description.
 
 Blom & Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian switching
 coefficients", IEEE Trans. Autom. Control 33(8), 1988. Three hypotheses of what carries the IMU, each a Kalman
@@ -25,8 +25,8 @@ Mixing then moves model j towards the combination of all by the share ε_j / (μ
 is believed, and the whole way for one that is not, which therefore is ready to take over. What multirotors
 alone have, wind, direction of thrust and lever arm, mixes with its initial state by that share.
 
-All models are told when the sensors are at rest, as `ekf_drag` is: the velocity is then zero, and the
-gyroscope reads its bias.
+When the sensors are at rest, all models take a velocity of zero and the gyroscope's reading as its bias, as
+`ekf_drag` does.
 
 Heading cannot be observed: all models are turned about the vertical to the heading of the likeliest. Readings
 are integrated at their own rate to a turn and a change of velocity (Savage, "Strapdown inertial navigation
