@@ -271,7 +271,7 @@ def _quanta(waiting, units, most):
     return np.int32(n), np.int32(min(max(waiting - units * n, -LATER), LATER))
 
 
-@njit
+@njit(inline="always")
 def _encode(row, state, n_w, n_a):
     """Spikes of the encoders, on the host."""
     for i in range(3):
@@ -282,7 +282,7 @@ def _encode(row, state, n_w, n_a):
         state.events[8] += DIGITS[abs(n_a[i])]
 
 
-@njit
+@njit(inline="always")
 def _fire(state, s):
     """Spikes of the vectors and of the bias."""
     for i in range(3):
@@ -300,7 +300,7 @@ def _fire(state, s):
         state.events[6] += abs(spikes[i])
 
 
-@njit
+@njit(inline="always")
 def _listen(state, circuit, threshold, opened):
     """Spikes of the gates."""
     for q in range(opened.size):
@@ -308,7 +308,7 @@ def _listen(state, circuit, threshold, opened):
         state.events[4] += opened[q]
 
 
-@njit
+@njit(inline="always")
 def _feel(state, sense, threshold, n_w, n_a, s, heard):
     """Spikes of the neurons that feel force, rate and surprise, by kind; then their currents."""
     heard[:] = 0
@@ -324,7 +324,7 @@ def _feel(state, sense, threshold, n_w, n_a, s, heard):
         state.felt[2, i] = _clipped(decay(state.felt[2, i], sense[0]) + push - sense[3] * s[i, 0])
 
 
-@njit
+@njit(inline="always")
 def _hear(state, circuit, heard):
     """Currents of the gates."""
     for q in range(circuit.gate.shape[0]):
@@ -334,7 +334,7 @@ def _hear(state, circuit, heard):
         state.gate[q] = _clipped(total)
 
 
-@njit
+@njit(inline="always")
 def _advance(state, circuit, s, n_a):
     """The vectors: what they mix, are pulled, corrected and turned by."""
     x, vectors, gates = state.x, s.shape[1], state.passed.shape[1]
@@ -354,7 +354,7 @@ def _advance(state, circuit, s, n_a):
             x[i, m] = _clipped(x[i, m])
 
 
-@njit
+@njit(inline="always")
 def _turn(state, n_w, s, steps):
     """Coincidences of the gyroscope's spikes with those of the vectors."""
     weight = (ONE >> TURN_BITS) // steps
@@ -366,7 +366,7 @@ def _turn(state, n_w, s, steps):
             state.events[2] += abs(s[k, m]) * about_j + abs(s[j, m]) * about_k
 
 
-@njit
+@njit(inline="always")
 def _innovate(state, circuit, opened, s, n_a):
     """What the bias gets, the spikes of the innovations, and their currents."""
     due, passed = state.bias[3], state.passed
