@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pages import ROOT, Page, Parts, row
 
 from estimators import create
-from estimators.control.controller import SpikingController
+from estimators.control.controller import SpikingController, make_controller
 from estimators.loihi.chip import LIMITS
 from estimators.networks.decay_profiles import share_profiles
 from estimators.networks.network import silenced
@@ -27,7 +27,7 @@ from quadsim.rotation import roll_pitch_from_quat
 from quadsim.runs.console import progress_bar
 from quadsim.vehicle import GRAVITY, Vehicle, load_vehicle
 from scenarios.bench.cell import FlightSettings, fly_cell
-from scenarios.bench.controllers import controller_of, make_controller
+from scenarios.bench.controllers import controller_of
 from scenarios.bench.flight_metrics import CellRow
 from scenarios.bench.results import Results
 from scenarios.bench.runner import bench

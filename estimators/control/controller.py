@@ -11,12 +11,16 @@ one that is NaN keeps its last value, and so does a missing reading. An angular 
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from quadsim.config.toml import nearest
+from quadsim.control.own import MakeController
+from quadsim.own import is_own, load_own
 from quadsim.runs.compiled import njit
 from quadsim.vehicle import GRAVITY, Vehicle
 
@@ -35,6 +39,10 @@ from ..networks.weights_file import (
 
 Array = NDArray[np.float64]
 
+CASCADED = "cascaded"
+"""The cascade's own levels of attitude and body rate."""
+GROUP = "quadsim.controllers"
+"""Group of the entry points by which an installed package offers controllers."""
 LOIHI = "-loihi"
 """End of the name of a controller that runs in the chip's integers."""
 THRUST_MAX = 100.0
@@ -73,6 +81,28 @@ def is_controller(name: str) -> bool:
     """Whether a name is that of a controller's weights: a path, or a name under which some ship."""
     path = name.removesuffix(LOIHI)
     return path.endswith(END) or path in shipped_controllers()
+
+
+def make_controller(name: str | Path) -> MakeController | None:
+    """What makes a controller; None for the cascade's own.
+
+    Args:
+        name: "cascaded"; a spiking controller's weights, by path or by the name under which they ship; or
+            your own: "module:make", "path/file.py:make" or an entry point of the group
+            "quadsim.controllers", called as make(rate_hz, vehicle).
+
+    Raises:
+        ValueError: There is no such controller.
+    """
+    name = str(name)
+    if name == CASCADED:
+        return None
+    if is_controller(name):
+        return partial(create_controller, name)
+    if not is_own(name, GROUP):
+        known = nearest(name, [CASCADED, *shipped_controllers()])
+        raise ValueError(f'unknown controller "{name}"; {known}, or your own file.py:make')
+    return load_own(name, GROUP)
 
 
 class SpikingController(BatchedNetwork):

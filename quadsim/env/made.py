@@ -10,7 +10,7 @@ from typing import TypeAlias, cast
 from ..control.own import MakeController
 from ..estimator import AttitudeEstimator
 from ..flight.scenario import Scenario, load_scenario
-from ..own import load_own, named_errors
+from ..own import named_errors
 
 Made: TypeAlias = AttitudeEstimator | str | Path | Callable[[float], AttitudeEstimator] | None
 """An estimator, or what makes one: see `made_for`."""
@@ -54,25 +54,16 @@ def made_for(estimator: Made, scenario: Scenario, rate_hz: float) -> AttitudeEst
 
 
 def controller_for(controller: str | Path | MakeController | None) -> MakeController | None:
-    """What makes an environment's attitude controller; None for the cascade's own.
-
-    Args:
-        controller: A function of sample rate and vehicle, or its name ("file.py:make", "module:make"); a
-            spiking controller's weights, by path or name; None or "cascaded".
+    """What makes an environment's attitude controller, given also by a name; None for the cascade's own.
 
     Raises:
         ValueError: No such controller.
     """
-    if controller is None or callable(controller):
+    if not isinstance(controller, str | Path):
         return controller
-    name = str(controller)
-    if name == "cascaded":
-        return None
-    from estimators.control.controller import create_controller, is_controller
+    from estimators.control.controller import make_controller
 
-    if is_controller(name):
-        return partial(create_controller, name)
-    return load_own(name)
+    return make_controller(controller)
 
 
 def _own_copy(

@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 import estimators
+from estimators.control.controller import make_controller
 from estimators.custom import own_sources
 from estimators.metrics import RANGE, flaw_of
 from estimators.registry import is_weights
@@ -18,7 +19,7 @@ from quadsim.flight.scenario import Scenario
 from quadsim.flight.world import CAUSES
 from quadsim.runs.fingerprint import content_digest
 
-from .controllers import controller_files, controller_of, estimator_of, make_controller
+from .controllers import controller_files, controller_of, estimator_of
 from .flight_log import Flown, fly
 from .flight_metrics import CellRow, FlightRow, error_histogram, flight_metrics, summarise
 from .series import FlightSeries, pack_series

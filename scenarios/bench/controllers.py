@@ -1,20 +1,13 @@
 """Contenders: an estimator alone, or "ESTIMATOR @ CONTROLLER", which flies another attitude controller."""
 
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 
 import estimators
-from estimators.control.controller import LOIHI, create_controller, is_controller
-from estimators.networks.weights_file import END, shipped_controllers
-from quadsim.config.toml import nearest
-from quadsim.control.own import MakeController
-from quadsim.own import is_own, load_own, own_files
+from estimators.control.controller import CASCADED, GROUP, LOIHI, is_controller
+from estimators.networks.weights_file import END
+from quadsim.own import is_own, own_files
 
-CASCADED = "cascaded"
-"""The cascade's own levels of attitude and body rate."""
-GROUP = "quadsim.controllers"
-"""Group of the entry points by which an installed package offers controllers."""
 MARK = " @ "
 TRUTH = "truth"
 """The estimator that returns the true attitude."""
@@ -45,27 +38,6 @@ def estimator_of(name: str) -> str:
 def controller_of(name: str) -> str:
     """Its controller."""
     return name.partition(MARK)[2] or CASCADED
-
-
-def make_controller(name: str) -> MakeController | None:
-    """What makes a controller; None for the cascade's own.
-
-    Args:
-        name: "cascaded"; a spiking controller's weights, by path or by the name under which they ship; or
-            your own: "module:make", "path/file.py:make" or an entry point of the group
-            "quadsim.controllers", called as make(rate_hz, vehicle).
-
-    Raises:
-        ValueError: There is no such controller.
-    """
-    if name == CASCADED:
-        return None
-    if is_controller(name):
-        return partial(create_controller, name)
-    if not is_own(name, GROUP):
-        known = nearest(name, [CASCADED, *shipped_controllers()])
-        raise ValueError(f'unknown controller "{name}"; {known}, or your own file.py:make')
-    return load_own(name, GROUP)
 
 
 def controller_files(name: str) -> list[Path]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import estimators
-from estimators.control.controller import create_controller, is_controller
+from estimators.control.controller import create_controller, is_controller, make_controller
 from estimators.tuned import load_tuning
 from quadsim.external import load_external
 from quadsim.flight.scenario import Scenario, changed
@@ -29,7 +29,7 @@ from .cell import (
     tuning_of,
     weights_digest,
 )
-from .controllers import controller_of, estimator_of, make_controller
+from .controllers import controller_of, estimator_of
 from .experiment import SUITE, Experiment
 from .results import Results, save_results
 
