@@ -84,8 +84,8 @@ def write_c(folder: str | Path, config: NetworkConfig, tensors: Tensors) -> None
         "input_max": INPUT_MAX,
         "rate_max": RATE_MAX,
         "force_max": FORCE_MAX,
-        "offset": _braces(offset),
-        "gain": _braces(gain),
+        "offset": braces(offset),
+        "gain": braces(gain),
         **_set_points(config),
         **_integers(tensors),
     }
@@ -105,8 +105,8 @@ def _set_points(config: NetworkConfig) -> dict[str, str | float]:
     return {
         "tilt_limit": f"{scaling.tilt_limit:g}",
         "yaw_rate_limit": f"{scaling.yaw_rate_limit:g}",
-        "set_point_max": _braces(limits),
-        "set_point_gain": _braces(set_point_gain(scaling)),
+        "set_point_max": braces(limits),
+        "set_point_gain": braces(set_point_gain(scaling)),
         "thrust_max": f"{THRUST_MAX:.1f}",
         "gravity": repr(float(GRAVITY)),
         "bound": repr(scaling.bound),
@@ -122,12 +122,12 @@ def _integers(tensors: Tensors) -> dict[str, str]:
     found = {name: str(keep[name][0]) for name in ("syn2", "mem2")}
     for name in ("ff", "rec"):
         rows, ranges = _blocks(halves[f"w_{name}"])
-        found[f"w_{name}"], found[f"from_{name}"] = _braces(rows, hexadecimal=True), _braces(ranges)
-    found["w_out"] = _braces(halves["w_out"].T)
+        found[f"w_{name}"], found[f"from_{name}"] = braces(rows, hexadecimal=True), braces(ranges)
+    found["w_out"] = braces(halves["w_out"].T)
     own = (_pairs(halves["w_in"]), keep["syn0"], keep["mem0"])
-    encoders = (f"{{{u}, {v}, {_braces(w, hexadecimal=True)}}}" for w, u, v in zip(*own, strict=True))
+    encoders = (f"{{{u}, {v}, {braces(w, hexadecimal=True)}}}" for w, u, v in zip(*own, strict=True))
     neurons = np.stack([keep["syn1"], keep["mem1"], units["w_ff"], units["w_rec"]], 1)
-    return found | {"encoders": "{\n" + ",\n".join(encoders) + "}", "neurons": _braces(neurons)}
+    return found | {"encoders": "{\n" + ",\n".join(encoders) + "}", "neurons": braces(neurons)}
 
 
 def _blocks(weights: Ints) -> tuple[Ints, Ints]:
@@ -156,8 +156,8 @@ def _padded(values: Ints, size: int) -> Ints:
     return np.concatenate([values, np.zeros((-len(values) % size, *values.shape[1:]), np.int64)])
 
 
-def _braces(values: NDArray, hexadecimal: bool = False) -> str:
+def braces(values: NDArray, hexadecimal: bool = False) -> str:
     """An initialiser; numbers as C and Python both read them."""
     if values.ndim > 1:
-        return "{\n" + ",\n".join(_braces(row, hexadecimal) for row in values) + "}"
+        return "{\n" + ",\n".join(braces(row, hexadecimal) for row in values) + "}"
     return "{" + ", ".join(f"0x{x:08x}" if hexadecimal else repr(x) for x in values.tolist()) + "}"

@@ -5,6 +5,7 @@ Both are used as the export of a network of layers is, whose encoding of reading
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from string import Template
 
@@ -21,7 +22,7 @@ from ..circuit.file import CircuitConfig
 from ..circuit.parameters import LEARNT, OUTPUT, RATE_HZ, Parameters, quantised
 from ..loihi.neurons import DECAY_ONE, STATE_MAX
 from ..networks.encoder import INPUT_MAX
-from .c_source import ESTIMATOR
+from .c_source import ESTIMATOR, braces
 
 Ints = NDArray[np.integer]
 
@@ -30,310 +31,14 @@ DIRECTIONS = [0, 2]
 HEARD = np.array([2, 1, 2, 1, 3])
 """Most spikes of each kind that a gate hears in a step."""
 
-HEADER = r"""/* Att-SNN, a spiking circuit that estimates the world's up from an IMU:
- * $vectors vectors that turn with the body, $gates gated innovations, $parameters parameters, as on Loihi.
- * Written by quadsim; no heap, no library, no variable outside the state. All that a step computes is
- * integers: floats are read by ${n}_encode and written by ${n}_attitude. */
-#ifndef ${N}_H
-#define ${N}_H
-
-#include <stdint.h>
-
-#ifdef __cplusplus
-extern "C" {
-#endif
-
-#define ${N}_RATE_HZ $rate
-#define ${N}_INPUTS 6
-#define ${N}_VECTORS $vectors
-#define ${N}_GATES $gates
-#define ${N}_OUTPUTS 3
-/* A component of vector $output divided by this is a component of up. */
-#define ${N}_UNITS_PER_ONE $units
-
-/* Axes come first: x, y and z of the body. */
-typedef struct {
-    int32_t input[${N}_INPUTS]; /* last good readings, scaled */
-    int32_t angle[3], force[3]; /* of the readings, what no spike has told yet */
-    int32_t x[3][${N}_VECTORS]; /* vectors, */
-    int32_t y[3][${N}_VECTORS]; /* their somas, */
-    int32_t turned[3][${N}_VECTORS]; /* and what the next step takes from them for the turn */
-    int32_t drive[3][${N}_GATES]; /* currents of the innovations, */
-    int32_t z[3][${N}_GATES]; /* and their somas */
-    int32_t felt[3][3]; /* force, rate and surprise */
-    int32_t gate[${N}_GATES];
-    int32_t bias[3], bias_soma[3], bias_spike[3], bias_due[3]; /* of the gyroscope */
-    int32_t ring; /* steps, counted around the ring of thresholds from 1 */
-    uint32_t skipped; /* samples with a reading that was not used */
-    int8_t passed[3][${N}_GATES]; /* spikes of the innovations */
-} ${n}_state;
-
-/* Start at rest. */
-void ${n}_reset(${n}_state *state);
-
-/* Scale one reading, body rate [rad/s] and specific force [m/s^2], body x forward, y left, z up. A reading
- * that is not finite or beyond 4000 deg/s or 32 g, or a force of exactly zero, leaves the last good one and
- * is counted in `skipped`. */
-void ${n}_encode(${n}_state *state, const double gyro[3], const double accel[3]);
-
-/* Run the circuit for one sample. */
-void ${n}_step(${n}_state *state);
-
-/* The world's up in body axes, not of length 1: roll is atan2(up[1], up[2]),
- * pitch atan2(-up[0], sqrt(up[1] * up[1] + up[2] * up[2])), now. */
-void ${n}_attitude(const ${n}_state *state, double up[${N}_OUTPUTS]);
-
-#ifdef __cplusplus
+PART = re.compile(r"^#part (\w+)\n", re.MULTILINE)
+"""A line of the template in whose place a part of the networks' template stands."""
+PARTS = {
+    "decay": ("/* Negative numbers are shifted", "/* Two's complement"),
+    "readings": ("/* Size of a number", "void ${n}_reset"),
+    "encode": ("void ${n}_encode", "static void step_outputs"),
 }
-#endif
-
-#endif
-"""
-
-TABLES = r"""#include "${n}.h"
-
-enum {
-    VECTORS = ${N}_VECTORS,
-    GATES = ${N}_GATES,
-    OUTPUT = $output, /* the vector that is read */
-    STEPS_PER_SAMPLE = $steps,
-    INPUT_MAX = $input_max,
-    STATE_MAX = 8388607,
-    ONE_BITS = $one_bits, /* of a vector's soma */
-    BIAS_BITS = $bias_bits, /* of the bias's soma */
-    INNOVATION_BITS = $innovation_bits,
-    FELT_BITS = $felt_bits,
-    ANGLE_BITS = $angle_bits, /* of a quantum of angle, in units of `input` */
-    FORCE_BITS = $force_bits, /* of a quantum of force */
-    ANGLE_MAX = $angle_max, /* most quanta in a step */
-    FORCE_QUANTA = $force_quanta,
-    LATER = $later, /* most that may wait for the next step */
-    BIAS_UNITS = $bias_units, /* that a spike of the bias takes from an angle */
-    TURN = (1 << (ONE_BITS - $turn_bits)) / STEPS_PER_SAMPLE, /* of a vector's spike by a quantum of angle */
-    LEAD = $lead, /* half steps by which spikes run ahead of their vector */
-    RING = $ring_size,
-    PAIRS = $pairs,
-    KINDS = 5 /* of what gates hear */
-};
-
-/* Weights that spikes add, without those of 0. A word is 256 times the weight, plus the number of the target.
- * First come the words for x and y, by source, then those for z; FROM is each source's first word. */
-static const int32_t MIX[] = $mix;
-static const uint16_t FROM_MIX[2][VECTORS + 1] = $from_mix;
-static const int32_t GIVE[] = $give;
-static const uint16_t FROM_GIVE[2][GATES + 1] = $from_give;
-static const int32_t TAKE[] = $take;
-static const uint16_t FROM_TAKE[2][VECTORS + 1] = $from_take;
-
-/* What a quantum of force adds to vectors and to innovations, x and y, then z. */
-static const int32_t PULL[2][VECTORS] = $pull;
-static const int32_t READ[2][GATES] = $read;
-
-/* A step leaves keep / 2^31 of a gate. */
-static const struct {
-    int32_t level, keep, w[KINDS];
-} GATE[GATES] = $gate;
-static const struct {
-    uint16_t vector, gate;
-    int32_t weight;
-} LEARN[PAIRS] = $learn;
-static const int32_t THRESHOLD[RING] = $ring;
-static const int32_t START[VECTORS] = $start;
-static const int32_t ONSET[GATES] = $onset;
-
-static const int32_t FELT_KEEP = $felt_keep;
-static const int32_t DRIVE_KEEP = $drive_keep;
-static const int32_t FELT_FORCE = $felt_force, FELT_TURN = $felt_turn, FELT_VECTOR = $felt_vector;
-static const int32_t FELT_STILL = $felt_still;
-
-static const double OFFSET[6] = $offset;
-static const double GAIN[6] = $gain;
-/* Beyond these a reading is not one of an IMU [rad/s, m/s^2]. */
-static const double RATE_MAX = $rate_max;
-static const double FORCE_MAX = $force_max;
-static const double SCALE = $scale; /* parts of a unit vector for a vector's unit */
-
-"""
-
-STEP = r"""/* Whether v is beyond +-most. */
-static inline int beyond(int32_t v, int32_t most)
-{
-    return (uint32_t)v + (uint32_t)most > 2 * (uint32_t)most;
-}
-
-/* The nearest number within +-most. */
-static inline int32_t clip(int32_t v, int32_t most) { return beyond(v, most) ? (v < 0 ? -most : most) : v; }
-
-/* Add a current to a soma, which a spike resets by 2^bits; the spike. */
-static inline int32_t fires(int32_t *soma, int32_t current, int bits)
-{
-    int32_t v = clip(*soma + current, STATE_MAX), spike = 0;
-    if (beyond(v, 1 << (bits - 1))) {
-        spike = v < 0 ? -1 : 1;
-        v -= spike * (1 << bits);
-    }
-    *soma = v;
-    return spike;
-}
-
-/* Whole quanta of 2^bits nearest to what waits, at most so many; the rest goes on waiting. */
-static inline int32_t quanta(int32_t *waiting, int bits, int32_t most)
-{
-    const int32_t n = clip((*waiting + (1 << (bits - 1))) >> bits, most);
-    *waiting = clip(*waiting - n * (1 << bits), LATER);
-    return n;
-}
-
-/* Add a source's weights to its targets, or take them away. */
-static inline void deliver(int32_t *targets, const int32_t *words, const uint16_t *from, int32_t spike)
-{
-    const int32_t *const end = words + from[1];
-    words += from[0];
-    if (spike > 0)
-        for (; words != end; ++words)
-            targets[*words & 255] += *words >> 8;
-    else
-        for (; words != end; ++words)
-            targets[*words & 255] -= *words >> 8;
-}
-
-void ${n}_reset(${n}_state *state)
-{
-    *state = (${n}_state){0};
-    for (int m = 0; m < VECTORS; ++m)
-        state->x[2][m] = START[m];
-    for (int q = 0; q < GATES; ++q)
-        state->gate[q] = ONSET[q];
-}
-
-"""
-
-KERNEL = r"""/* Spikes of the encoders, of the vectors, and of the bias. */
-static void fire(${n}_state *state, int32_t angle[3], int32_t force[3], int32_t spike[3][VECTORS])
-{
-    for (int i = 0; i < 3; ++i) {
-        state->angle[i] += state->input[i] - BIAS_UNITS * state->bias_spike[i];
-        state->force[i] += state->input[3 + i];
-        angle[i] = quanta(&state->angle[i], ANGLE_BITS, ANGLE_MAX);
-        force[i] = quanta(&state->force[i], FORCE_BITS, FORCE_QUANTA);
-        for (int m = 0; m < VECTORS; ++m)
-            spike[i][m] = fires(&state->y[i][m], state->x[i][m], ONE_BITS);
-        state->bias_spike[i] = fires(&state->bias_soma[i], state->bias[i], BIAS_BITS);
-        state->bias[i] = clip(state->bias[i] + state->bias_due[i], STATE_MAX);
-    }
-}
-
-/* What feels force, rate and surprise spikes, and takes what they are now. */
-static void feel(${n}_state *state, int32_t threshold, const int32_t angle[3], const int32_t force[3],
-                 int32_t spike[3][VECTORS], int32_t heard[KINDS])
-{
-    static const int8_t kind[3][3] = {{0, 0, 1}, {2, 2, 3}, {4, 4, 4}};
-    for (int i = 0; i < 3; ++i) {
-        const int32_t push = FELT_FORCE * force[i];
-        const int32_t current[3] = {i == 2 ? push - FELT_STILL : push, FELT_TURN * angle[i],
-                                    push - FELT_VECTOR * spike[i][0]};
-        for (int k = 0; k < 3; ++k) {
-            const int32_t felt = state->felt[k][i];
-            heard[kind[k][i]] += (felt < 0 ? -felt : felt) * (1 << (ONE_BITS - FELT_BITS)) > threshold;
-            state->felt[k][i] = clip(decay(felt, FELT_KEEP) + current[k], STATE_MAX);
-        }
-    }
-}
-
-/* Gates open, all bits of their word set, or close, and hear what is felt. */
-static void open_gates(${n}_state *state, int32_t threshold, const int32_t heard[KINDS],
-                       int32_t opened[GATES])
-{
-    for (int q = 0; q < GATES; ++q) {
-        int32_t sum = decay(state->gate[q], GATE[q].keep);
-        opened[q] = -(state->gate[q] + GATE[q].level > threshold);
-        for (int k = 0; k < KINDS; ++k)
-            sum += GATE[q].w[k] * heard[k];
-        state->gate[q] = clip(sum, STATE_MAX);
-    }
-}
-
-/* Vectors turn, mix, and are pulled and corrected. */
-static void advance(${n}_state *state, const int32_t angle[3], const int32_t force[3],
-                    int32_t spike[3][VECTORS])
-{
-    for (int i = 0; i < 3; ++i) {
-        const int j = i < 2 ? i + 1 : 0, k = i > 0 ? i - 1 : 2, vertical = i == 2;
-        const int32_t about_j = angle[j] * TURN, about_k = angle[k] * TURN;
-        int32_t *const x = state->x[i];
-        for (int m = 0; m < VECTORS; ++m) {
-            const int32_t turned = state->turned[i][m];
-            x[m] += PULL[vertical][m] * force[i] - turned;
-            state->y[i][m] = clip(state->y[i][m] - turned / 2 * LEAD, STATE_MAX);
-            state->turned[i][m] = about_j * spike[k][m] - about_k * spike[j][m];
-        }
-        for (int n = 0; n < VECTORS; ++n)
-            if (spike[i][n])
-                deliver(x, MIX, &FROM_MIX[vertical][n], spike[i][n]);
-        for (int q = 0; q < GATES; ++q)
-            if (state->passed[i][q])
-                deliver(x, GIVE, &FROM_GIVE[vertical][q], state->passed[i][q]);
-        for (int m = 0; m < VECTORS; ++m)
-            x[m] = clip(x[m], STATE_MAX);
-    }
-}
-
-/* The bias gets the products of vectors and innovations. */
-static void learn(${n}_state *state, int32_t spike[3][VECTORS])
-{
-    for (int i = 0; i < 3; ++i) {
-        const int j = i < 2 ? i + 1 : 0, k = i > 0 ? i - 1 : 2;
-        state->bias_due[i] = 0;
-        for (int p = 0; p < PAIRS; ++p) {
-            const int m = LEARN[p].vector, q = LEARN[p].gate;
-            const int32_t products = spike[j][m] * state->passed[k][q] - spike[k][m] * state->passed[j][q];
-            state->bias_due[i] += LEARN[p].weight * products;
-        }
-    }
-}
-
-/* Spikes of the innovations, and their currents. */
-static void innovate(${n}_state *state, const int32_t force[3], int32_t spike[3][VECTORS],
-                     const int32_t opened[GATES])
-{
-    for (int i = 0; i < 3; ++i) {
-        const int vertical = i == 2;
-        int32_t *const drive = state->drive[i];
-        for (int q = 0; q < GATES; ++q) {
-            state->passed[i][q] = (int8_t)fires(&state->z[i][q], drive[q] & opened[q], INNOVATION_BITS);
-            drive[q] = decay(drive[q], DRIVE_KEEP) + READ[vertical][q] * force[i];
-        }
-        for (int m = 0; m < VECTORS; ++m)
-            if (spike[i][m])
-                deliver(drive, TAKE, &FROM_TAKE[vertical][m], spike[i][m]);
-        for (int q = 0; q < GATES; ++q)
-            drive[q] = clip(drive[q], STATE_MAX);
-    }
-}
-
-/* Vectors and the bias read which innovations passed in the step before, so the innovations go last. */
-void ${n}_step(${n}_state *state)
-{
-    for (int k = 0; k < STEPS_PER_SAMPLE; ++k) {
-        int32_t angle[3], force[3], spike[3][VECTORS], heard[KINDS] = {0}, opened[GATES];
-        const int32_t threshold = THRESHOLD[state->ring < RING ? state->ring : 0];
-        state->ring = state->ring < RING ? state->ring + 1 : 1;
-        fire(state, angle, force, spike);
-        feel(state, threshold, angle, force, spike, heard);
-        open_gates(state, threshold, heard, opened);
-        advance(state, angle, force, spike);
-        learn(state, spike);
-        innovate(state, force, spike, opened);
-    }
-}
-
-/* As the emulator rounds it, whose output is up less that of a level attitude. */
-void ${n}_attitude(const ${n}_state *state, double up[${N}_OUTPUTS])
-{
-    for (int k = 0; k < 3; ++k)
-        up[k] = state->x[k][OUTPUT] * SCALE - (k == 2) + (k == 2);
-}
-"""
+"""Beginnings of the parts, and of what follows them."""
 
 
 def write_circuit_c(folder: str | Path, config: CircuitConfig, p: Parameters) -> None:
@@ -344,15 +49,6 @@ def write_circuit_c(folder: str | Path, config: CircuitConfig, p: Parameters) ->
     """
     circuit = quantised(p, config.steps_per_sample)
     _check(circuit)
-    layers = (ASSETS / "c99" / "network.c").read_text(encoding="utf-8")
-    parts = (
-        TABLES,
-        _part(layers, "/* Negative numbers are shifted", "/* Two's complement"),
-        _part(layers, "/* Size of a number", "void ${n}_reset"),
-        STEP,
-        _part(layers, "void ${n}_encode", "static void step_outputs"),
-        KERNEL,
-    )
     values = {
         "n": ESTIMATOR,
         "N": ESTIMATOR.upper(),
@@ -365,12 +61,15 @@ def write_circuit_c(folder: str | Path, config: CircuitConfig, p: Parameters) ->
         "steps": config.steps_per_sample,
         "rate_max": RATE_MAX,
         "force_max": FORCE_MAX,
-        "offset": _braces(SCALING.offset),
-        "gain": _braces(SCALING.gain),
+        "offset": braces(SCALING.offset),
+        "gain": braces(SCALING.gain),
         **_constants(),
         **_integers(circuit),
     }
-    for end, text in (("h", HEADER), ("c", "".join(parts))):
+    layers = (ASSETS / "c99" / "network.c").read_text(encoding="utf-8")
+    for end in ("h", "c"):
+        text = (ASSETS / "c99" / f"circuit.{end}").read_text(encoding="utf-8")
+        text = PART.sub(lambda found: _part(layers, *PARTS[found[1]]), text)
         write_whole(Path(folder) / f"{ESTIMATOR}.{end}", Template(text).substitute(values))
 
 
@@ -392,7 +91,7 @@ def _constants() -> dict[str, int | str]:
         "turn_bits": spikes.TURN_BITS,
         "lead": spikes.LEAD,
         "ring_size": spikes.RING.size,
-        "ring": _braces(np.asarray(spikes.RING)),
+        "ring": braces(np.asarray(spikes.RING)),
     }
 
 
@@ -401,10 +100,10 @@ def _integers(circuit: spikes.Circuit) -> dict[str, int | str]:
     level, onset, decays, smooth = circuit.levels.astype(np.int64)
     felt, force, turn, vector, still = circuit.sense.tolist()
     found: dict[str, int | str] = {
-        "pull": _braces(circuit.pull[DIRECTIONS]),
-        "read": _braces(circuit.read[DIRECTIONS]),
-        "start": _braces(circuit.start),
-        "onset": _braces(onset),
+        "pull": braces(circuit.pull[DIRECTIONS]),
+        "read": braces(circuit.read[DIRECTIONS]),
+        "start": braces(circuit.start),
+        "onset": braces(onset),
         "felt_keep": _keep(felt),
         "drive_keep": _keep(int(smooth[0])),
         "felt_force": force,
@@ -417,11 +116,11 @@ def _integers(circuit: spikes.Circuit) -> dict[str, int | str]:
         ("give", circuit.give),
         ("take", circuit.take),
     ):
-        found[name], found[f"from_{name}"] = map(_braces, _words(weights[DIRECTIONS].astype(np.int64)))
+        found[name], found[f"from_{name}"] = map(braces, _words(weights[DIRECTIONS].astype(np.int64)))
     rows = zip(level.tolist(), decays.tolist(), circuit.gate, strict=True)
-    found["gate"] = "{\n" + ",\n".join(f"{{{c}, {_keep(d)}, {_braces(w)}}}" for c, d, w in rows) + "}"
+    found["gate"] = "{\n" + ",\n".join(f"{{{c}, {_keep(d)}, {braces(w)}}}" for c, d, w in rows) + "}"
     pairs = circuit.learn if len(circuit.learn) else np.zeros((1, 3), np.int32)  # C has no empty arrays
-    return found | {"pairs": len(pairs), "learn": _braces(pairs)}
+    return found | {"pairs": len(pairs), "learn": braces(pairs)}
 
 
 def _words(weights: Ints) -> tuple[Ints, Ints]:
@@ -467,10 +166,3 @@ def _part(text: str, start: str, end: str) -> str:
     """From where one text stands to where another does."""
     first = text.index(start)
     return text[first : text.index(end, first)]
-
-
-def _braces(values: NDArray) -> str:
-    """An initialiser."""
-    if values.ndim > 1:
-        return "{\n" + ",\n".join(_braces(row) for row in values) + "}"
-    return "{" + ", ".join(repr(x) for x in values.tolist()) + "}"
