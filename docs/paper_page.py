@@ -11,7 +11,7 @@ from recordings import BROAD, PHANTOM4, recordings, score
 from estimators import create
 from estimators.evaluation.comparison import silenced_twin
 from estimators.evaluation.logs import LEVEL, RAW
-from paper.plan import CHIP, OURS, RNN, SNN, sizes_of
+from paper.plan import CHIP, RNN, SNN, sizes_of
 from paper.run import write_results
 from paper.stages import TUNING, WEIGHTS
 
@@ -19,7 +19,6 @@ NETWORKS = {
     "Att-SNN": ("att-snn", SNN),
     "Att-SNN (Loihi quantisation)": ("att-snn-loihi", CHIP),
     "Att-RNN": ("att-rnn", RNN),
-    "*Att-SNN, our recipe*": ("att-snn-loihi", OURS),
 }
 FILTERS = ("complementary", "mahony", "madgwick", "ekf")
 RATE_HZ = 200.0

@@ -12,7 +12,7 @@ from quadsim.runs.files import alone
 from quadsim.runs.record import recorded
 
 from .bench.cell import FlightSettings
-from .bench.controllers import SLOW, contenders, default_estimators
+from .bench.controllers import LEFT_OUT, contenders, default_estimators
 from .bench.experiment import load_experiment
 from .bench.results import Results, load_results
 from .bench.runner import NO_CHANGES, Changes, bench
@@ -68,7 +68,8 @@ def run_bench(
         raise ValueError(f"{experiment} has a seed of its own: leave --seed out")
     settings = FlightSettings(seeds or chosen.seeds, chosen.seed or seed or 0, rate_hz, tuning)
     if not names:
-        output.print(f"Without {', '.join(SLOW)}, slower than all others together; --estimator NAME chooses.")
+        left_out = ", ".join(f"{name} ({why})" for name, why in LEFT_OUT.items())
+        output.print(f"Without {left_out}; --estimator NAME chooses.", soft_wrap=True)
     flown = contenders(names or default_estimators(), controllers)
     with alone(out):
         with recorded(out), pool_of(workers) as (count, executor), progress_bar("fly", "cells") as progress:

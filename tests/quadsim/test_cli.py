@@ -266,7 +266,7 @@ def test_bench_leaves_the_slow_out_and_its_reports_say_how_they_were_made(quadsi
     flown = ["--scenario", "hover", "--seeds", 1, "--duration", 0.5, "--workers", 1, "--out", tmp_path]
     code, out, _ = quadsim("bench", *flown)
     assert code == 0
-    assert "Without ukf-filterpy, slower than all others together; --estimator" in out
+    assert "Without ukf-filterpy (ten times as slow as ekf-filterpy), att-snn (the" in out
     assert "2 flights, 1 s in the air; " in out
     assert "Conditions: airframe hummingbird; its drag known; IMU adis16448" in out
     text = (tmp_path / "report.html").read_text()
