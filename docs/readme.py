@@ -69,7 +69,7 @@ def values(page: Page, given: Namespace) -> Parts:
         "`ekf-drag`, given the vehicle's drag": [f"{drag:.2f}", f"{drag_in_rotorpy:.2f}", "–", "–"],
         "**Att-SNN on the emulated chip**": row_of(CHIP),
         "Att-RNN, the same network in floats": row_of(FLOATS),
-        "the paper's network of layers, trained on its flights": row_of(ALONE),
+        "the paper's network, trained for this Hummingbird only": row_of(ALONE),
         "always level": errors(level, [each.silenced(CHIP) for each in scores]),
     }
     return {
