@@ -108,8 +108,8 @@ def _read(path: Path) -> TrainingFlights:
     return TrainingFlights(*measured, up=up.astype(np.float32), rate_hz=rate_hz, vehicles=vehicles)
 
 
-def flights_of(config: TrainConfig) -> tuple[TrainingFlights, TrainingFlights]:
-    """The flights to train on, and to choose the best epoch by.
+def flights_of(config: TrainConfig) -> tuple[TrainingFlights, TrainingFlights, TrainingFlights]:
+    """The flights to train on, to choose the best epoch by, and to test on (none with `validation`).
 
     Raises:
         ValueError: Too few flights, or too short ones, or datasets that do not go together.
@@ -123,12 +123,12 @@ def flights_of(config: TrainConfig) -> tuple[TrainingFlights, TrainingFlights]:
             f"windows of {steps} samples, but the flights have {available}: give a smaller window_s"
         )
     if not config.validation:
-        train, choose, _ = split(len(flights), config.seed)
-        return flights.select(train), flights.select(choose)
+        train, choose, test = map(flights.select, split(len(flights), config.seed))
+        return train, choose, test
     validation, rate = load_training_flights(config.validation), flights.rate_hz
     if validation.rate_hz != rate:
         raise ValueError(f"validation at {validation.rate_hz:g} Hz, but the data are at {rate:g} Hz")
-    return flights, validation
+    return flights, validation, flights.select([])
 
 
 def split(flights: int, seed: int) -> list[NDArray]:
@@ -226,7 +226,7 @@ class AttitudeTask:
 
     def __init__(self, config: TrainConfig) -> None:
         self.config = config
-        self.flights, self.validation = flights_of(config)
+        self.flights, self.validation, _ = flights_of(config)
         self.rate_hz = self.flights.rate_hz
 
     def contents(self) -> dict[str, str]:

@@ -70,8 +70,8 @@ def initialise_controller(
         model.set_taus(name, np.exp(-1.0 / np.exp(rng.uniform(low, high, getattr(model, name).shape))))
     values = {name: np.zeros(getattr(model, name).shape) for name in MATRICES}
     values["w_in"] = _random_encoders(x, model.tau("syn0").detach().numpy(), rng)
-    encoders = values["w_ff"].shape[1]
     for k in range(len(values["w_ff"])):
+        encoders = values["w_ff"][k].size
         chosen = rng.choice(encoders, min(FAN_IN, encoders), replace=False)
         values["w_ff"][k, chosen] = rng.normal(size=chosen.size)
     shape = values["w_rec"].shape
