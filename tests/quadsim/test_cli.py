@@ -215,7 +215,7 @@ def test_a_report_of_weights_shows_where_the_neurons_go(quadsim):
     for heading in ("compartments", "synaptic", "formats", "fan-in", "(1048576)"):
         assert heading in out
     config, _ = load_network("att-snn-paper")
-    assert f"{config.encoding + config.hidden + config.n_outputs} neurons on 1 of a chip's 128 cores" in out
+    assert f"{config.encoding + config.hidden + config.n_outputs} neurons on 7 of a chip's 128 cores" in out
 
 
 def test_a_verb_has_at_most_eight_options_beside_the_common_ones():
