@@ -26,7 +26,7 @@ from quadsim.held_out import HeldOut
 from quadsim.imu.spec import ImuSpec
 from quadsim.vehicle import Vehicle
 from training.circuit.config import CircuitTraining
-from training.config import Preset
+from training.config import TrainingRecipe
 
 ROOT = Path(__file__).parents[1]
 KINDS: dict[str, tuple[type[BaseModel], str]] = {
@@ -42,7 +42,7 @@ KINDS: dict[str, tuple[type[BaseModel], str]] = {
         CircuitTraining,
         "How the circuit is trained: `assets/presets/`, `--preset`; `--set` takes the same keys.",
     ),
-    "preset of a network of layers": (Preset, "How a network of layers is trained: the same."),
+    "preset of a network of layers": (TrainingRecipe, "How a network of layers is trained: the same."),
     "tuning": (Tuned, "A filter's parameters, a table for each: `assets/tuning/`, `--set tuning=`."),
     "held-out": (HeldOut, "A held-out suite: `assets/held-out/`."),
 }

@@ -50,7 +50,7 @@ def run_bench(
         out: Folder for the results.
         experiment: A shipped experiment or a TOML file.
         scenarios: In place of the experiment's.
-        names: Estimators; all but slow ones if left out.
+        names: Estimators; by default those of `default_estimators`.
         controllers: Attitude controllers, each with every estimator.
         changes: Fields that replace those of every scenario.
         seeds: Flights in each cell, in place of the experiment's.

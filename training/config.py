@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import ValidationError, model_validator
 
 from estimators.loihi.layers import WEIGHT_EXP_MIN
 from estimators.networks.weights_file import (
@@ -89,7 +89,7 @@ class TrainingRecipe(Strict):
     """1: the chip's time convention; 2: the paper's equations (att-snn)."""
     finest_exponent: Annotated[int, Between(WEIGHT_EXP_MIN, 0)] = 0
     """Least exponent of the weights into a hidden neuron: steps of 1/128 times 2 to that power, where all of
-    the neuron's weights are small enough (att-snn). A run that continues from weights has at least theirs."""
+    the neuron's weights are small enough (att-snn)."""
     inputs: InputScaling = PAPER_SCALING
     """Scaling of the six inputs."""
     outputs: Outputs = "roll-pitch"
@@ -128,13 +128,6 @@ class TrainingRecipe(Strict):
     def method(self) -> Optimisation:
         """What `optimisation` stands for."""
         return OPTIMISATIONS[self.optimisation]
-
-
-class Preset(TrainingRecipe):
-    """A file of `assets/presets`, or a user's."""
-
-    att_rnn: TrainingRecipe = Field(default=TrainingRecipe(), alias="att-rnn")
-    """What differs for att-rnn."""
 
 
 class TrainConfig(TrainingRecipe):
@@ -205,10 +198,7 @@ def make_config(preset: str | Path = "paper", **choices: Any) -> TrainConfig:
     Raises:
         ValueError: One line: an unknown preset or field, or a value out of range.
     """
-    loaded = load_toml(preset, "presets", Preset)
-    values = loaded.model_dump(exclude_unset=True, exclude={"att_rnn"})
-    if choices.get("model") == "att-rnn":
-        values = merged(values, loaded.att_rnn.model_dump(exclude_unset=True))
+    values = load_toml(preset, "presets", TrainingRecipe).model_dump(exclude_unset=True)
     for name in {"data", "validation"} & choices.keys():
         paths = choices[name]
         choices[name] = (str(paths),) if isinstance(paths, str | Path) else tuple(map(str, paths))

@@ -101,7 +101,7 @@ class LayerGradients(NamedTuple):
     dv: Floats
     du: Floats  #: of the currents
     syn: Floats  #: of syn, summed over the steps
-    mem: Floats  #: of mem, likewise
+    mem: Floats  #: of mem, summed over the steps
 
 
 @njit(inline="always", error_model="numpy", fastmath={"contract"})

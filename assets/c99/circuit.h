@@ -22,7 +22,7 @@ extern "C" {
 /* Axes come first: x, y and z of the body. */
 typedef struct {
     int32_t input[${N}_INPUTS]; /* last good readings, scaled */
-    int32_t angle[3], force[3]; /* of the readings, what no spike has told yet */
+    int32_t angle[3], force[3]; /* of the readings, what no spike has represented yet */
     int32_t x[3][${N}_VECTORS]; /* vectors, */
     int32_t y[3][${N}_VECTORS]; /* their somas, */
     int32_t turned[3][${N}_VECTORS]; /* and what the next step takes from them for the turn */

@@ -84,16 +84,19 @@ def load_circuit(path: str | Path) -> CircuitFile:
         with safe_open(file, framework="numpy") as content:
             metadata = content.metadata() or {}
             if metadata.get("format") != CIRCUIT:
-                raise ValueError(f"{path}: not a circuit, which quadsim train makes")
+                raise ValueError(f"{path}: not a circuit, but a network of layers or another file")
             config = CircuitConfig.model_validate_json(metadata["config"])
             declared = {name: tuple(content.get_slice(name).get_shape()) for name in content.keys()}  # noqa: SIM118
-            if wrong := [name for name in Parameters._fields if name not in declared]:
-                raise ValueError(f"{path}: tensor {wrong[0]} is missing")
+            if wrong := sorted({*Parameters._fields} ^ {*declared}):
+                raise ValueError(
+                    f"{path}: tensor {wrong[0]} is {'unknown' if wrong[0] in declared else 'missing'}"
+                )
             tensors = {name: content.get_tensor(name) for name in Parameters._fields}
     except (SafetensorError, KeyError) as error:
         raise ValueError(f"{path}: not a safetensors file of a circuit ({error})") from error
     except ValidationError as error:
-        raise ValueError(f"{path}: {describe(error, CircuitConfig)}") from error
+        wrong = describe(error, CircuitConfig)
+        raise ValueError(f"{path}: a circuit of another version of quadsim: {wrong}") from error
     _check(path, config, tensors)
     return CircuitFile(config, Parameters(**tensors))
 

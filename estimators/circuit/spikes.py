@@ -210,7 +210,7 @@ class SpikingCircuit:
         self.state = np.dtype([*encoder_fields(np.int32), *((name, np.int32, size) for name, size in kept)])
         settings = np.array([*np.ravel(scaling), steps, output, unit / ONE, vectors, gates])
         self.arrays = settings, np.concatenate([np.ravel(each) for each in circuit])
-        self.kernel, self.circuit, self.steps = run_circuit, circuit, steps
+        self.kernel = run_circuit
 
 
 @njit(cache=True, nogil=True)

@@ -114,7 +114,7 @@ def bench(
         list[str] | None,
         typer.Option(
             help="Estimator: a name, weights (.safetensors) or your own file.py:Class; repeat the option "
-            "to add more. Default: all but ukf-filterpy, which is slow."
+            "to add more. Default: all but ukf-filterpy, which is slow, and att-snn, which is att-snn-loihi."
         ),
     ] = None,
     controller: Annotated[

@@ -67,7 +67,7 @@ def report(
     Example: quadsim report flight.ulg --find-mount best
     """
     from estimators.circuit.file import is_circuit
-    from estimators.networks.weights_file import END, shipped_names
+    from estimators.networks.weights_file import END, shipped_controllers, shipped_names
     from scenarios.verbs import report_benchmark
 
     place = Path(path).expanduser()
@@ -76,7 +76,7 @@ def report(
     if is_circuit(path):
         _refuse_others(given, "a circuit", "--data")
         _report_circuit(path, data or [])
-    elif place.suffix == END or path in shipped_names():
+    elif place.suffix == END or path in (*shipped_names(), *shipped_controllers()):
         _refuse_others(given, "weights", "--out", "--data")
         _report_weights(path, data or [], out or Path("reports/inspect"))
     elif place.suffix == ".zarr" or (place / "zarr.json").exists():
