@@ -21,6 +21,7 @@ from quadsim.vehicle import load_vehicle
 from scenarios.bench.cell import FlightSettings
 from scenarios.bench.controllers import TRUTH, default_estimators
 from scenarios.bench.experiment import Experiment, load_experiment
+from scenarios.bench.recommendation import recommendation
 from scenarios.bench.results import Results, totals_of
 from scenarios.bench.runner import bench
 from scenarios.bench.verdict import Verdict, conditions, shown, verdict
@@ -155,7 +156,7 @@ def values(page: Page, given: Namespace) -> Parts:
     size = f"{len(results.scenarios)} scenarios × {len(names)} estimators × {SEEDS} seeds"
     return {
         "verdict": judged.headline,
-        "conditions": fill(conditions(results.scenarios), 125),
+        "conditions": fill(f"{conditions(results.scenarios)} {recommendation().elsewhere}", 125),
         "suite": f"{size}: {results.cost}.",
         "seeds": str(SEEDS),
         "breaking_seeds": str(BREAKING.seeds),
