@@ -64,7 +64,7 @@ from .drag_aided import (
     mean_square,
 )
 from .imm_mixing import combine, mix
-from .imm_model import COUNT, MODELS, MULTIROTOR, across_thrust, correct_model, predict
+from .imm_model import COUNT, MODELS, MULTIROTOR, USUAL_FIRST, across_thrust, correct_model, predict
 from .imm_model import STATE as MODEL
 
 RECORD = np.dtype(
@@ -312,7 +312,7 @@ class InteractingModels(CompiledFilter):
         )
         sigma = np.repeat([self.values[f"{part}_sigma"] for part in parts], SIZES)
         models["quat"], states["quat"] = quat[:, None], quat
-        models["wind_noise"] = self.values["wind_noise"] ** 2
+        models["wind_noise"], models["usual_ratio"] = self.values["wind_noise"] ** 2, USUAL_FIRST
         models["covariance"][:, :, ESTIMATED, ESTIMATED] = sigma**2
         states["covariance"] = models["covariance"][:, 0, :SHARED, :SHARED]
         states["begun"], states["probability"] = float(known), 1.0 / COUNT

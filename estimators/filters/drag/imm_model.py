@@ -4,10 +4,12 @@ A multirotor is that of `drag_aided`; the others have neither wind, direction of
 measurement by drag. The climb v_z is no error here; it is integrated and forgotten within `climb_time`.
 
 A gyroscope's bias may step. The corrections of θ that a filter expects have together the variance by which
-they reduce that of θ. Where they sum up to more, within T = `step_time`, the bias has stepped some time ago
-(after Willsky & Jones, "A generalized likelihood ratio approach to the detection and estimation of jumps in
-linear systems", IEEE Trans. Autom. Control 21(1), 1976), and P is that of a filter which does not know the
-step:
+they reduce that of θ. Let r be the ratio of the square of their sum, within T = `step_time`, to that
+variance. It should be one, but depends on how the vehicle moves: 0.1 in calm flight, 1 where dashes follow
+each other. A step is found where r exceeds `step_ratio` times its own mean over `step_memory`, a threshold of
+constant false-alarm rate (after Willsky & Jones, "A generalized likelihood ratio approach to the detection
+and estimation of jumps in linear systems", IEEE Trans. Autom. Control 21(1), 1976). P is then that of a
+filter which does not know the step:
 
     P ← P + `step_sigma`² G Gᵀ,    G = (−T R, ½ T² g × R, I) of θ, v and b
 """
@@ -57,12 +59,18 @@ STATE = np.dtype(
         ("airspeed_square", "f8"),  # sum of squares of the corrections of v - w, both axes [m²/s²]
         ("tilt_sum", "f8", 2),  # recent corrections of the tilt, world axes [rad]
         ("tilt_due", "f8"),  # variance that they removed, both axes [rad²]
+        ("usual_ratio", "f8"),  # mean of the ratio of both
+        ("step_clock", "f8"),  # since the start or the last step of the bias [s]
     ]
 )
 """State of one model."""
 
 WIND_NOISE_MOST = 10.0
 """Largest noise density of the wind [m/s/√s]: it turns by as much as a hurricane's gusts."""
+USUAL_FIRST, USUAL_LEAST, USUAL_MOST = 0.4, 0.02, 3.0
+"""The ratio's mean at the start, its least, and the largest ratio that counts in it, in means."""
+USUAL_DELAY = 5.0
+"""Time for which the first one counts [s]."""
 FREEDOM = 4.0
 """Degrees of freedom of Student's t."""
 
@@ -224,8 +232,13 @@ def adapt_bias(m, p, dt, dx, removed, matrix):
         m.tilt_sum[k] += dx[TILT + k] - leak * m.tilt_sum[k]
         scatter += m.tilt_sum[k] ** 2
     m.tilt_due += max(removed, 0.0) - 2.0 * leak * m.tilt_due
-    if m.time > p.step_time and scatter > p.step_ratio * m.tilt_due:
-        m.tilt_sum[:], m.tilt_due = 0.0, 0.0
+    m.step_clock += dt
+    if m.step_clock <= p.step_time or m.tilt_due <= 0.0:
+        return
+    ratio, usual = scatter / m.tilt_due, m.usual_ratio
+    m.usual_ratio += (min(ratio, USUAL_MOST * usual) - usual) * dt / min(USUAL_DELAY + m.time, p.step_memory)
+    if ratio > p.step_ratio * max(m.usual_ratio, USUAL_LEAST):
+        m.tilt_sum[:], m.tilt_due, m.step_clock = 0.0, 0.0, 0.0
         fallen = 0.5 * GRAVITY * p.step_time
         for k in range(3):
             x, y = -p.step_time * matrix[k], -p.step_time * matrix[3 + k]
