@@ -19,7 +19,8 @@ from estimators.circuit.estimator import SCALING, Level, circuit_estimator
 from estimators.circuit.file import load_circuit
 from estimators.circuit.floats import new_trace, run_floats, stepped
 from estimators.circuit.parameters import GRAVITY, OUTPUT, RATE_HZ, Parameters, quantised, untrained
-from estimators.circuit.spikes import ANGLE_DIGITS, SpikingCircuit, no_spikes, state_of, step
+from estimators.circuit.records import ANGLE_DIGITS, no_spikes, state_of
+from estimators.circuit.spikes import SpikingCircuit, step
 from estimators.evaluation.flights import Flights, load_flights
 from estimators.evaluation.logs import RAW
 from estimators.metrics import attitude_error

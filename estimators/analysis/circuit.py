@@ -14,7 +14,7 @@ from ..circuit.chip import populations
 from ..circuit.estimator import circuit_estimator
 from ..circuit.file import CircuitConfig
 from ..circuit.parameters import RATE_HZ, Parameters, quantised
-from ..circuit.spikes import ANGLE_DIGITS, EVENTS, Circuit
+from ..circuit.records import ANGLE_DIGITS, EVENTS, Circuit
 from ..evaluation.flights import load_flights
 from ..metrics import absolute_error
 from .energy import PICOJOULES

@@ -15,7 +15,7 @@ from quadsim.runs.compiled import njit
 
 from ..networks.encoder import INPUT_ONE, MISSING, Scaling, encode_sample, encoder_fields
 from .parameters import FELT, FELT_RATE, FELT_S, OUTPUT, RATE_HZ, SMOOTH_S, Parameters
-from .spikes import BIAS_RATE
+from .records import BIAS_RATE
 
 F = np.float32
 Floats = NDArray[np.float32]

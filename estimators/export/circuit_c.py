@@ -16,7 +16,7 @@ from quadsim.config.ranges import FORCE_MAX, RATE_MAX
 from quadsim.runs.files import write_whole
 from quadsim.runs.fingerprint import ASSETS
 
-from ..circuit import spikes
+from ..circuit import records
 from ..circuit.estimator import SCALING
 from ..circuit.file import CircuitConfig
 from ..circuit.parameters import LEARNT, OUTPUT, RATE_HZ, Parameters, quantised
@@ -56,8 +56,8 @@ def write_circuit_c(folder: str | Path, config: CircuitConfig, p: Parameters) ->
         "gates": config.gates,
         "parameters": sum(getattr(p, name).size for name in LEARNT),
         "rate": f"{RATE_HZ:g}",
-        "units": round(spikes.ONE / p.scale[OUTPUT]),
-        "scale": repr(float(p.scale[OUTPUT] / spikes.ONE)),
+        "units": round(records.ONE / p.scale[OUTPUT]),
+        "scale": repr(float(p.scale[OUTPUT] / records.ONE)),
         "steps": config.steps_per_sample,
         "rate_max": RATE_MAX,
         "force_max": FORCE_MAX,
@@ -78,24 +78,24 @@ def _constants() -> dict[str, int | str]:
     return {
         "output": OUTPUT,
         "input_max": INPUT_MAX,
-        "one_bits": spikes.ONE_BITS,
-        "bias_bits": spikes.BIAS_BITS,
-        "innovation_bits": spikes.INNOVATION_BITS,
-        "felt_bits": spikes.FELT_BITS,
-        "angle_bits": spikes.ANGLE_UNITS.bit_length() - 1,
-        "force_bits": spikes.FORCE_UNITS.bit_length() - 1,
-        "angle_max": spikes.ANGLE_MAX,
-        "force_quanta": spikes.FORCE_MAX,
-        "later": spikes.LATER,
-        "bias_units": spikes.BIAS_UNITS,
-        "turn_bits": spikes.TURN_BITS,
-        "lead": spikes.LEAD,
-        "ring_size": spikes.RING.size,
-        "ring": braces(np.asarray(spikes.RING)),
+        "one_bits": records.ONE_BITS,
+        "bias_bits": records.BIAS_BITS,
+        "innovation_bits": records.INNOVATION_BITS,
+        "felt_bits": records.FELT_BITS,
+        "angle_bits": records.ANGLE_UNITS.bit_length() - 1,
+        "force_bits": records.FORCE_UNITS.bit_length() - 1,
+        "angle_max": records.ANGLE_MAX,
+        "force_quanta": records.FORCE_MAX,
+        "later": records.LATER,
+        "bias_units": records.BIAS_UNITS,
+        "turn_bits": records.TURN_BITS,
+        "lead": records.LEAD,
+        "ring_size": records.RING.size,
+        "ring": braces(np.asarray(records.RING)),
     }
 
 
-def _integers(circuit: spikes.Circuit) -> dict[str, int | str]:
+def _integers(circuit: records.Circuit) -> dict[str, int | str]:
     """Weights, decays and initial values as the C code reads them."""
     level, onset, decays, smooth = circuit.levels.astype(np.int64)
     felt, force, turn, vector, still = circuit.sense.tolist()
@@ -138,24 +138,24 @@ def _keep(decays: int) -> int:
     return (DECAY_ONE - decays) << 19
 
 
-def _check(circuit: spikes.Circuit) -> None:
+def _check(circuit: records.Circuit) -> None:
     """No number of the circuit is too large for the C code, whatever the readings.
 
     Raises:
         ValueError: One is.
     """
-    c = spikes.Circuit(*(np.abs(part.astype(np.int64)) for part in circuit))
+    c = records.Circuit(*(np.abs(part.astype(np.int64)) for part in circuit))
     decays = np.concatenate([circuit.levels[2:].ravel(), circuit.sense[:1]])
     if np.any(decays < 1) or np.any(decays >= DECAY_ONE):
         raise ValueError("C99 needs time constants that are longer than a step")
     if max(part.max(initial=0) for part in c) > STATE_MAX:
         raise ValueError("C99 needs weights and initial values within 24 bits")
-    turned = 2 * spikes.ANGLE_MAX << (spikes.ONE_BITS - spikes.TURN_BITS)
+    turned = 2 * records.ANGLE_MAX << (records.ONE_BITS - records.TURN_BITS)
     sums = (
-        c.mix.sum(1) + c.give.sum(1) + c.pull * spikes.FORCE_MAX + turned,
-        c.take.sum(1) + c.read * spikes.FORCE_MAX,
+        c.mix.sum(1) + c.give.sum(1) + c.pull * records.FORCE_MAX + turned,
+        c.take.sum(1) + c.read * records.FORCE_MAX,
         c.gate @ HEARD,
-        c.sense[1:] * spikes.ANGLE_MAX + c.sense[3] + c.sense[4],
+        c.sense[1:] * records.ANGLE_MAX + c.sense[3] + c.sense[4],
         2 * c.learn[:, 2].sum(keepdims=True),
     )
     if max(part.max(initial=0) for part in sums) + STATE_MAX >= 1 << 31:

@@ -9,14 +9,8 @@ from estimators.circuit.estimator import SCALING, Level, circuit_estimator
 from estimators.circuit.file import CircuitConfig, is_circuit, load_circuit, save_circuit
 from estimators.circuit.floats import new_trace, run_floats, stepped
 from estimators.circuit.parameters import GRAVITY, RATE_HZ, Parameters, quantised, untrained
-from estimators.circuit.spikes import (
-    ANGLE_DIGITS,
-    FORCE_DIGITS,
-    INNOVATION,
-    ONE,
-    RING,
-    SpikingCircuit,
-)
+from estimators.circuit.records import ANGLE_DIGITS, FORCE_DIGITS, INNOVATION, ONE, RING
+from estimators.circuit.spikes import SpikingCircuit
 from estimators.networks.network import NetworkEstimator
 from quadsim.imu import load_imu, simulate_imu
 from quadsim.rotation import quat_from_rotvec, quat_rotate_inverse
