@@ -48,7 +48,7 @@ SETS = {
 }
 """New flights: recipe, what differs from it, and seed."""
 SCALE = (1.33, 1.21, 0.56, 1.23)
-"""Lengths of the untrained circuit's vectors, as `training.circuit.loop.scaled` finds them."""
+"""Lengths of the untrained circuit's vectors, as `training.circuit.train.scaled` finds them."""
 RESAMPLES = 4000
 SHOWN = 8
 """Neurons of a kind in the raster, those that spike most."""

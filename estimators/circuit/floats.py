@@ -44,7 +44,7 @@ class Steps(NamedTuple):
     pairs: NDArray[np.int64]  #: (pairs, 2)
 
 
-class Trace(NamedTuple):
+class Signals(NamedTuple):
     """What a run over T samples leaves, from the state before the first: all that its gradient needs."""
 
     x: Floats  #: vectors (T + 1, V, 3, n)
@@ -71,11 +71,11 @@ def stepped(p: Parameters) -> Steps:
     return Steps(*(np.ascontiguousarray(each, F) for each in values), pairs=p.pairs)
 
 
-def new_trace(p: Parameters, steps: int, n: int) -> tuple[Trace, Senses]:
+def new_trace(p: Parameters, steps: int, n: int) -> tuple[Signals, Senses]:
     """Room for a run of n copies over T samples, at its start."""
     vectors, gates = len(p.start), len(p.level)
     shapes = ((steps + 1, vectors, 3), (steps + 1, 3), (steps + 1, gates, 3), (steps, FELT), (steps, gates))
-    trace = Trace(*(np.empty((*shape, n), F) for shape in shapes))
+    trace = Signals(*(np.empty((*shape, n), F) for shape in shapes))
     trace.x[0], trace.bias[0], trace.e[0] = 0, 0, 0
     trace.x[0, :, 2] = p.start[:, None]
     return trace, Senses(np.zeros((9, n), F), np.tile(p.onset.astype(F)[:, None], n))
@@ -89,7 +89,7 @@ def run_floats(angle, force, w, trace, senses):
         angle: Body rate times the time of a sample (T, 3, n) [rad].
         force: Specific force (T, 3, n) [9.81 m/s²].
         w: `Steps`.
-        trace: `Trace`; x[0], bias[0] and e[0] are read, the rest is written.
+        trace: `Signals`; x[0], bias[0] and e[0] are read, the rest is written.
         senses: `Senses`, changed.
     """
     for t in range(angle.shape[0]):
@@ -238,7 +238,7 @@ def _run_states(gyro, accel, set_points, scaling, w, start, onset, states, out):
     for first in range(0, samples, CHUNK):
         steps = min(CHUNK, samples - first)
         angle, force = np.empty((steps, 3, n), F), np.empty((steps, 3, n), F)
-        trace = Trace(
+        trace = Signals(
             np.empty((steps + 1, vectors, 3, n), F),
             np.empty((steps + 1, 3, n), F),
             np.empty((steps + 1, gates, 3, n), F),

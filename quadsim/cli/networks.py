@@ -109,7 +109,7 @@ def _train_network(out: Path, data: list[Path], model: str, preset: str, choices
 
 def _train_circuit(out: Path, data: list[Path], preset: str, choices: dict[str, Any]) -> None:
     from training.circuit.config import CircuitRun, make_run
-    from training.circuit.loop import Row, train_circuit
+    from training.circuit.train import Row, train_circuit
 
     run = make_run(preset, data=tuple(map(str, data)), **choices)
     with progress_bar(f"train {preset}", "updates") as bar:

@@ -102,9 +102,10 @@ class StoredCode(caching.FunctionCache):
 
     @cached_property
     def _cache_file(self) -> caching.IndexDataCacheFile:
-        return caching.IndexDataCacheFile(
-            self._cache_path, self._impl.filename_base, self._impl.locator.get_source_stamp()
-        )
+        stamp = self._impl.locator.get_source_stamp()
+        file = caching.IndexDataCacheFile(self._cache_path, self._impl.filename_base, stamp)
+        file._version += stamp.decode()  # of other source nothing is unpickled: it may name classes that are gone
+        return file
 
     @property
     def lock(self) -> FileLock:

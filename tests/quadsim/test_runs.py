@@ -2,11 +2,13 @@
 
 import errno
 import os
+import pickle
 import subprocess
 import sys
 import threading
 from pathlib import Path
 
+import numba
 import pytest
 from filelock import FileLock
 from hypothesis import given
@@ -243,6 +245,18 @@ def test_a_function_is_compiled_by_one_process_at_a_time():
         triple(None)
     with FileLock(lock, timeout=0):  # free again, also after a compilation that failed
         pass
+
+
+def test_an_index_of_other_source_is_not_unpickled():
+    """It may name classes that are gone."""
+
+    def double(x):
+        return 2 * x
+
+    index = Path(njit(cache=True)(double)._cache._cache_file._index_path)
+    index.parent.mkdir(parents=True, exist_ok=True)
+    index.write_bytes(pickle.dumps(numba.__version__) + b"cgone\nGone\n.")
+    assert njit(cache=True)(double)(4.0) == 8.0
 
 
 def test_processes_that_start_together_compile_a_function_once(tmp_path):

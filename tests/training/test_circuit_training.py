@@ -9,8 +9,8 @@ from quadsim.dataset import generate
 from quadsim.flight.recipe import load_recipe
 from training.circuit.config import CircuitTraining, make_run
 from training.circuit.gradient import loss_and_gradient
-from training.circuit.loop import train_circuit
-from training.circuit.streams import Batch, bias_of, draw_streams, held, load_motion, sway
+from training.circuit.streams import StreamBatch, bias_of, draw_streams, held, load_motion, sway
+from training.circuit.train import train_circuit
 
 
 def batch(seed=0, steps=200, n=6):
@@ -20,7 +20,7 @@ def batch(seed=0, steps=200, n=6):
     up /= np.linalg.norm(up, axis=1, keepdims=True)
     bias, known = rng.normal(0, 0.02, (3, n)), np.arange(n) < n // 2
     signals = (each.astype(np.float32) for each in (angle, force, up, bias))
-    return Batch(*signals, known), np.ones(n, np.float32)
+    return StreamBatch(*signals, known), np.ones(n, np.float32)
 
 
 @pytest.mark.parametrize("name", LEARNT)

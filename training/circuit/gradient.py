@@ -17,7 +17,7 @@ from estimators.circuit.floats import (
     SMOOTH,
     F,
     Senses,
-    Trace,
+    Signals,
     new_trace,
     run_floats,
     stepped,
@@ -26,7 +26,7 @@ from estimators.circuit.floats import (
 from estimators.circuit.parameters import FELT, LEARNT, OUTPUT, RATE_HZ, Parameters
 from quadsim.runs.compiled import njit
 
-from .streams import Batch
+from .streams import StreamBatch
 
 Floats = NDArray[np.float32]
 LEAK = F(0.3)
@@ -48,7 +48,7 @@ class Slopes(NamedTuple):
     opened: Floats
 
 
-def begin(p: Parameters, batch: Batch) -> tuple[Trace, Senses]:
+def begin(p: Parameters, batch: StreamBatch) -> tuple[Signals, Senses]:
     """Room for a run over a batch, at its start: as always, or with attitude and bias known."""
     trace, senses = new_trace(p, len(batch.angle), len(batch.known))
     known = np.flatnonzero(batch.known)
@@ -58,7 +58,9 @@ def begin(p: Parameters, batch: Batch) -> tuple[Trace, Senses]:
     return trace, senses
 
 
-def loss_and_gradient(p: Parameters, batch: Batch, weights: Floats) -> tuple[float, Parameters, Trace]:
+def loss_and_gradient(
+    p: Parameters, batch: StreamBatch, weights: Floats
+) -> tuple[float, Parameters, Signals]:
     """The loss of a batch of streams and its gradient.
 
     Args:

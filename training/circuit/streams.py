@@ -31,7 +31,7 @@ SWAY_HZ, SWAY_M, SWAY_MAX = (0.3, 2.5), 0.5, 40.0
 position is bounded, and its acceleration may be large."""
 
 
-class Batch(NamedTuple):
+class StreamBatch(NamedTuple):
     """Some streams, with the copies last as the kernels have them."""
 
     angle: Floats  #: (T, 3, n)
@@ -50,10 +50,10 @@ class Streams(NamedTuple):
     bias: Floats  #: of the gyroscope, as far as `up` tells it (streams, 3) [rad/s]
     known: NDArray[np.bool_]  #: whether a stream begins with its attitude and bias known (streams,)
 
-    def batch(self, rows: NDArray[np.int64]) -> Batch:
+    def batch(self, rows: NDArray[np.int64]) -> StreamBatch:
         """Some of them."""
         angle, force, up = (np.ascontiguousarray(each[rows].transpose(1, 2, 0)) for each in self[:3])
-        return Batch(angle, force, up, np.ascontiguousarray(self.bias[rows].T), self.known[rows])
+        return StreamBatch(angle, force, up, np.ascontiguousarray(self.bias[rows].T), self.known[rows])
 
 
 def load_motion(paths: Sequence[str | Path]) -> tuple[list[TrainingFlights], list[TrainingFlights]]:

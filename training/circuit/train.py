@@ -60,7 +60,7 @@ class Row:
 
 
 @dataclass
-class State:
+class AdamState:
     """What a checkpoint saves: weights, Adam's moments, averaged weights and the log."""
 
     weights: Array
@@ -133,7 +133,7 @@ def _claim(run: CircuitRun, out: Path) -> None:
     """Make the folder this run's."""
     out.mkdir(parents=True, exist_ok=True)
     drop_parts(out)
-    file, code = out / "config.json", code_digest("training.circuit.loop")
+    file, code = out / "config.json", code_digest("training.circuit.train")
     text = json.dumps({"run": json.loads(run.model_dump_json()), "code": code}, indent=2)
     if file.is_file() and file.read_text(encoding="utf-8") != text:
         raise ValueError(
@@ -180,7 +180,7 @@ def stream_weights(streams: Streams) -> NDArray[np.float32]:
     return (weights / weights.mean()).astype(np.float32)
 
 
-def _some_updates(run: CircuitRun, streams: Streams, weights: NDArray[np.float32], state: State) -> None:
+def _some_updates(run: CircuitRun, streams: Streams, weights: NDArray[np.float32], state: AdamState) -> None:
     """`SAVE_EVERY` updates, and a row of the log."""
     began, first = time.monotonic(), len(state.rows) * SAVE_EVERY
     last = min(first + SAVE_EVERY, run.updates)
@@ -227,18 +227,18 @@ def validation_error(p: Parameters, path: str) -> float:
     return float(absolute_error(estimator.sequence(flights.gyro, flights.accel), flights.roll_pitch).mean())
 
 
-def _start(run: CircuitRun, out: Path) -> State:
+def _start(run: CircuitRun, out: Path) -> AdamState:
     """The state of the folder's checkpoint, or a new one."""
     file = out / "checkpoint.npz"
     if file.is_file():
         with np.load(file, allow_pickle=False) as kept:
             rows = [Row(int(a), float(b), float(c), float(d)) for a, b, c, d in kept["rows"]]
-            return State(*(kept[name] for name in ("weights", "first", "second", "slow")), rows=rows)
+            return AdamState(*(kept[name] for name in ("weights", "first", "second", "slow")), rows=rows)
     weights = _flat(_first(run))
-    return State(weights, 0 * weights, 0 * weights, weights.copy(), [])
+    return AdamState(weights, 0 * weights, 0 * weights, weights.copy(), [])
 
 
-def _save_checkpoint(out: Path, state: State) -> None:
+def _save_checkpoint(out: Path, state: AdamState) -> None:
     rows = np.array([(row.updates, row.loss, row.longest, row.seconds) for row in state.rows])
     buffer = io.BytesIO()
     np.savez(
