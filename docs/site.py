@@ -1,14 +1,16 @@
-"""Hook of MkDocs: pages of the site that come from the code, and the results on the landing page.
+"""Hook of MkDocs: pages of the site that come from the code, the results on its first page, and notebooks.
 
 `mkdocs build` (make docs) calls the functions below. The reference of the command line comes from the verbs,
-that of the files from the typed models.
+that of the files from the typed models. Each tutorial can also be had as a notebook.
 """
 
 import re
 from collections.abc import Iterator
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
+import jupytext
 import typer
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
@@ -47,6 +49,15 @@ KINDS: dict[str, tuple[type[BaseModel], str]] = {
     "held-out": (HeldOut, "A held-out suite: `assets/held-out/`."),
 }
 """Kinds of TOML files, the model that checks each, and where it is used."""
+BLOCK = re.compile(
+    r"(<!-- not run: [^>]+-->\n)?```(sh|python|toml|c)(?: title=\"([^\"]+)\")?\n(.*?)```", re.DOTALL
+)
+"""A block of code of a tutorial: why it is not run, its language, the file that it belongs in, its text."""
+INSTALL = f"""```python
+# In a clone: python -m build --wheel. Put the wheel from dist/ beside this notebook.
+%pip install --quiet "quadsim-{version("quadsim")}-py3-none-any.whl[train,export,rl]"
+```
+"""
 STAMP = re.compile(r"<!-- made by: [^>]*-->\n?")
 RANGE = re.compile(r"Annotated\[(\w+), Between\(low=(\S+), high=(\S+?)(?:, unit='(.*?)')?\)\]")
 ROWS = 5
@@ -58,6 +69,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     pages = {"reference/cli.md": command_line(), "reference/toml.md": toml_files()}
     for name in ("CHANGELOG", "CONTRIBUTING"):
         pages[f"{name.lower()}.md"] = (ROOT / f"{name}.md").read_text("utf-8").replace("](docs/", "](")
+    for each in files:
+        if has_notebook(each):
+            pages[each.src_uri.replace(".md", ".ipynb")] = notebook(each.content_string)
     for uri, text in pages.items():
         files.append(File.generated(config, uri, content=text))
     return files
@@ -65,8 +79,36 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Put the README's results in place, and leave stamps out."""
-    del page, config, files
+    del config, files
+    if has_notebook(page.file):
+        title, _, rest = markdown.partition("\n")
+        link = f"{Path(page.file.src_uri).stem}.ipynb"
+        markdown = f'{title}\n\n[This page as a notebook]({link}){{ download="{link}" }}\n{rest}'
     return STAMP.sub("", markdown.replace("<!-- results -->", results()))
+
+
+def has_notebook(file: File) -> bool:
+    """Whether a page is a tutorial with code."""
+    return file.src_uri.startswith("tutorials/") and bool(BLOCK.search(file.content_string))
+
+
+def notebook(tutorial: str) -> str:
+    """A tutorial as a notebook in JSON: cells that install, then its blocks of code between its text.
+
+    Commands of a shell and files become cells with a magic. Blocks that tests do not run stay text.
+    """
+
+    def cell(block: re.Match[str]) -> str:
+        skipped, language, name, code = block.groups()
+        if skipped:
+            return "\n".join(f"    {line}" for line in code.splitlines())
+        magic = f"%%writefile {name}\n" if name else "%%bash\n" if language == "sh" else ""
+        return f"```python\n{magic}{code}```"
+
+    title, _, rest = BLOCK.sub(cell, tutorial).partition("\n")
+    made = jupytext.reads(f"{title}\n\n{INSTALL}{rest}", "md")
+    made.metadata["kernelspec"] = {"name": "python3", "display_name": "Python 3", "language": "python"}
+    return jupytext.writes(made, "ipynb")
 
 
 def results() -> str:

@@ -1,6 +1,7 @@
 """Pages of the site that come from the code."""
 
 import importlib.util
+import json
 from pathlib import Path
 
 import pytest
@@ -40,3 +41,16 @@ def test_keys_of_files_have_ranges_units_and_defaults(site):
 def test_every_verb_has_its_section(site):
     text = site.command_line()
     assert all(f"## `quadsim {verb}`\n" in text for verb in ("generate", "bench", "report", "identify"))
+
+
+@pytest.mark.parametrize("name", ["data", "estimator", "add", "deploy"])
+def test_a_tutorial_is_also_a_notebook_with_every_block_that_tests_run(site, name):
+    tutorial = (ROOT / "docs" / "tutorials" / f"{name}.md").read_text("utf-8")
+    cells = json.loads(site.notebook(tutorial))["cells"]
+    install, *code = ["".join(each["source"]) for each in cells if each["cell_type"] == "code"]
+    assert "%pip install" in install
+    blocks = [(file, text) for skipped, _, file, text in site.BLOCK.findall(tutorial) if not skipped]
+    assert len(code) == len(blocks) > 2
+    for cell, (file, text) in zip(code, blocks, strict=True):
+        assert cell.endswith(text.strip())
+        assert cell.startswith(f"%%writefile {file}\n") == bool(file)
