@@ -17,7 +17,6 @@ from ..control.own import MakeController
 from ..control.records import ATTITUDE, LEVELS, Level
 from ..flight.mission import Mission
 from ..flight.scenario import Scenario, changed
-from ..flight.world import FLYING
 from ..pictures.render import Image, Scene, View
 from .made import Made, controller_for, made_for, scenario_for
 from .spaces import OBSERVATION, OBSERVATION_SPACE, action_scale, hidden_dtype, observe, to_command
@@ -64,14 +63,16 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         self._rate_hz, self._duration_s = rate_hz, duration_s
         self._level: Level = level
         self._index = LEVELS.index(level)
-        self.mission = self._mission(self._scenario)
+        self._take(self._mission(self._scenario))
         self.scale = action_scale(level, self.mission.vehicle)
         self.single_observation_space = OBSERVATION_SPACE
         self.single_action_space = Box(-1.0, 1.0, self.scale.shape, np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._random: list[np.random.Generator] = []
-        self.done = np.zeros(num_envs, dtype=bool)
+        self.done, self._ended = np.zeros(num_envs, dtype=bool), 0
+        self._seen = np.zeros(num_envs, OBSERVATION)
+        self._observation = self._seen.view(np.float32).reshape(num_envs, -1)
         self._scene: Scene | None = None
 
     def _mission(self, scenario: Scenario) -> Mission:
@@ -93,8 +94,8 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         else:
             self.mission.restart(every, self._seeds(every))
             self.mission.sense()
-        self.done[:] = False
-        observation, _, hidden = self.observe()
+        observation, *_, hidden = self.observe()
+        self.done[:], self._ended = False, 0  # also where a start is beyond the limits
         return observation, _masked(hidden)
 
     def _choose(self, options: dict[str, Any] | None) -> bool:
@@ -118,8 +119,13 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         if len(mission.vehicle.rotors) != len(self.mission.vehicle.rotors):
             raise ValueError(f"{scenario.vehicle} has another number of rotors: make another environment")
         self.close_extras()
-        self.mission, self._flown = mission, scenario
+        self._take(mission)
+        self._flown = scenario
         return True
+
+    def _take(self, mission: Mission) -> None:
+        self.mission, self._hover_rotor_vel = mission, mission.vehicle.hover_rotor_vel
+        self._hidden = hidden_dtype(len(mission.vehicle.rotors))
 
     def _seeds(self, ids: NDArray[np.int64]) -> list[np.random.SeedSequence]:
         """Seeds of the next flights of some vehicles."""
@@ -147,27 +153,26 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         if not self._random:
             raise ValueError("step was called before reset")
         mission = self.mission
-        if not to_command(self._index, actions, self.scale, mission.vehicle.hover_rotor_vel, mission.records):
+        if not to_command(self._index, actions, self.scale, self._hover_rotor_vel, mission.records):
             raise ValueError("an action is not a finite number; has the policy diverged?")
-        if self.done.any():
+        if self._ended:
             mission.move(self._level)
             again = np.flatnonzero(self.done)
             mission.restart(again, self._seeds(again))
             mission.sense()
         else:
             mission.step(self._level)
-        observation, reward, hidden = self.observe()
-        reward[self.done] = 0.0
-        crashed, over = mission.cause != FLYING, mission.k >= mission.steps
-        self.done = crashed | over
-        return observation, reward, crashed, over, hidden
+        return self.observe()
 
-    def observe(self) -> tuple[NDArray[np.float32], Array, NDArray[np.void]]:
-        """Observations (n, 17), rewards (n,) and what agents do not see (n,) now, as new arrays."""
-        records, reward = np.zeros(self.num_envs, OBSERVATION), np.empty(self.num_envs)
-        hidden = np.zeros(self.num_envs, hidden_dtype(self.mission.plant.rotor_vel.shape[1]))
-        observe(self.mission.records, records, reward, hidden)
-        return records.view(np.float32).reshape(self.num_envs, -1), reward, hidden
+    def observe(
+        self,
+    ) -> tuple[NDArray[np.float32], Array, NDArray[np.bool_], NDArray[np.bool_], NDArray[np.void]]:
+        """Observations (n, 17), rewards, crashes, ends and what agents do not see (n,) now, as new arrays."""
+        n, mission, seen = self.num_envs, self.mission, self._seen
+        hidden = np.empty(n, self._hidden)
+        reward, crashed, over = np.empty(n), np.empty(n, np.bool_), np.empty(n, np.bool_)
+        self._ended = observe(mission.records, mission.steps, self.done, seen, reward, hidden, crashed, over)
+        return self._observation.copy(), reward, crashed, over, hidden
 
     def render(self) -> tuple[Image, ...] | None:
         """A picture of every vehicle; None without a render mode."""

@@ -168,8 +168,7 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
             raise ValueError("the episode is over; call reset to begin another")
         actions = shaped(action, self._batch.scale.shape)[None]
         observation, reward, crashed, over, hidden = self._batch.advance(actions)
-        row = hidden[0]
-        info = {name: row[name] for name in hidden.dtype.names or ()}
+        info = dict(zip(hidden.dtype.names or (), hidden.item(), strict=True))
         if crashed[0]:
             info["cause"] = CAUSES[self._batch.mission.cause[0]]
         return observation[0], reward.item(), crashed.item(), over.item(), info

@@ -109,8 +109,12 @@ def _clip(value, limit):
 
 
 @njit(cache=True)
-def observe(loops, observation, reward, hidden):
-    """Write observations, rewards and what agents do not see, (n,) each; see the tables of `QuadrotorEnv`."""
+def observe(loops, steps, done, observation, reward, hidden, crashed, over):
+    """Write what a step returns, (n,) each, see the tables of `QuadrotorEnv`; how many episodes have ended.
+
+    `done` (n,) says which had ended before this step, which have no reward, and then which have ended now.
+    """
+    ended = 0
     for i in range(observation.shape[0]):
         out, row, flight, m, p = (
             observation[i],
@@ -129,6 +133,7 @@ def observe(loops, observation, reward, hidden):
             distance += (wanted.position[j] - s.position[j]) ** 2
             speed += (wanted.velocity[j] - s.velocity[j]) ** 2
             row.position[j], row.velocity[j], row.wind[j] = s.position[j], s.velocity[j], flight.wind[j]
+        row.attitude_error = 0.0
         for j in range(2):
             out.roll_pitch[j] = _clip(m.roll_pitch[j], np.pi)
             row.attitude[j], row.estimate[j] = p.roll_pitch[j], m.roll_pitch[j]
@@ -139,4 +144,8 @@ def observe(loops, observation, reward, hidden):
         out.yaw_error = np.arctan2(np.sin(error), np.cos(error))
         out.heading[0], out.heading[1] = np.cos(m.yaw), np.sin(m.yaw)
         row.attitude[2], row.position_cost, row.velocity_cost = p.yaw, distance, 0.1 * speed
-        reward[i] = 1.0 / (1.0 + distance + 0.1 * speed) if flight.cause == FLYING else 0.0
+        crashed[i], over[i] = flight.cause != FLYING, m.k >= steps
+        reward[i] = 0.0 if crashed[i] or done[i] else 1.0 / (1.0 + distance + 0.1 * speed)
+        done[i] = crashed[i] or over[i]
+        ended += done[i]
+    return ended

@@ -104,7 +104,9 @@ class StoredCode(caching.FunctionCache):
     def _cache_file(self) -> caching.IndexDataCacheFile:
         stamp = self._impl.locator.get_source_stamp()
         file = caching.IndexDataCacheFile(self._cache_path, self._impl.filename_base, stamp)
-        file._version += stamp.decode()  # of other source nothing is unpickled: it may name classes that are gone
+        file._version += (
+            stamp.decode()
+        )  # of other source nothing is unpickled: it may name classes that are gone
         return file
 
     @property
