@@ -16,8 +16,8 @@ from estimators import create
 from estimators.control.controller import SpikingController, make_controller
 from estimators.loihi.chip import LIMITS
 from estimators.networks.decay_profiles import share_profiles
+from estimators.networks.forward import OnLoihi
 from estimators.networks.network import silenced
-from estimators.networks.on_chip import OnLoihi
 from estimators.networks.weights_file import load_network, save_network
 from quadsim.control.own import AttitudeController, MakeController
 from quadsim.flight.loop import FlightLoop

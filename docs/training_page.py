@@ -15,9 +15,8 @@ from estimators.circuit.file import is_circuit
 from estimators.evaluation.comparison import silenced_twin
 from estimators.evaluation.flights import Flights, load_flights
 from estimators.metrics import attitude_error
-from estimators.networks.forward import real_weights
+from estimators.networks.forward import OnLoihi, real_weights
 from estimators.networks.network import NetworkEstimator, Spiking
-from estimators.networks.on_chip import OnLoihi
 from estimators.networks.weights_file import load_network, parameters, shipped_names
 from training.config import make_config
 from training.optim import LOOKAHEAD_ALPHA, LOOKAHEAD_K

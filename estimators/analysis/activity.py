@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..networks.forward import BIAS_EXP
+from ..networks.forward import BIAS_EXP, OnLoihi
 from ..networks.network import roll_pitch_of_outputs, zero_states
-from ..networks.on_chip import OnLoihi
 
 Array = NDArray[np.float64]
 LAYERS = ("encoding", "hidden")

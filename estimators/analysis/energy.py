@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..loihi.chip import ChipCore
-from ..networks.on_chip import OnLoihi
+from ..networks.forward import OnLoihi
 from ..networks.weights_file import NetworkConfig
 from .activity import Activity
 

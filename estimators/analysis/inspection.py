@@ -15,8 +15,8 @@ from quadsim.dataset.figures import STYLE
 from quadsim.runs.files import save_figure
 
 from ..evaluation.flights import Flights
+from ..networks.forward import OnLoihi
 from ..networks.network import NetworkEstimator, Spiking
-from ..networks.on_chip import OnLoihi
 from ..networks.weights_file import NetworkConfig, Tensors
 from .ablation import CRITERIA, ablation, importance
 from .activity import LAYERS, Activity, record

@@ -25,8 +25,8 @@ from quadsim.runs.compiled import njit
 from quadsim.vehicle import GRAVITY, Vehicle
 
 from ..networks.encoder import INPUT_MAX, INPUT_ONE
+from ..networks.forward import OnLoihi
 from ..networks.network import BatchedNetwork, Spiking
-from ..networks.on_chip import OnLoihi
 from ..networks.weights_file import (
     END,
     SET_POINTS,

@@ -17,9 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from quadsim.estimator import OtherSensors
 from quadsim.rotation import roll_pitch_of_up, roll_pitch_rows
 
-from .forward import Spiking
+from .forward import OnLoihi, Spiking
 from .gru import Recurrent
-from .on_chip import OnLoihi
 from .weights_file import SET_POINTS, NetworkConfig, Tensors, attitude_network
 
 Array = NDArray[np.float64]

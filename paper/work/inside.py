@@ -10,8 +10,8 @@ from estimators.analysis.activity import record
 from estimators.analysis.encoding_study import responses
 from estimators.analysis.energy import costs, counts, gru_flops, snn_flops
 from estimators.analysis.inspection import FRACTIONS
+from estimators.networks.forward import OnLoihi
 from estimators.networks.network import NetworkEstimator, Spiking
-from estimators.networks.on_chip import OnLoihi
 from estimators.networks.weights_file import load_network
 from quadsim.dataset.reading import open_dataset
 

@@ -143,7 +143,7 @@ def _report_circuit(path: str, data: list[Path]) -> None:
 def _report_weights(weights: str, data: list[Path], out: Path) -> None:
     from estimators.analysis.inspection import inspect
     from estimators.evaluation.flights import load_flights
-    from estimators.networks.on_chip import OnLoihi
+    from estimators.networks.forward import OnLoihi
     from estimators.networks.weights_file import load_network
     from scenarios.report.terminal import cores_table, plain_table
 

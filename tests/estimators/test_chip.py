@@ -11,7 +11,7 @@ from estimators.loihi.chip import (
     synaptic_bits,
 )
 from estimators.networks.decay_profiles import share_profiles
-from estimators.networks.on_chip import OnLoihi
+from estimators.networks.forward import OnLoihi
 from estimators.networks.weights_file import load_network
 
 

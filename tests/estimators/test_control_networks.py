@@ -12,8 +12,8 @@ from estimators.analysis.activity import record
 from estimators.analysis.energy import host_operations
 from estimators.control import SpikingController, create_controller
 from estimators.control.controller import THRUST_MAX, follow, gravity_of
+from estimators.networks.forward import OnLoihi
 from estimators.networks.network import silenced
-from estimators.networks.on_chip import OnLoihi
 from estimators.networks.weights_file import (
     NetworkConfig,
     expected_shapes,

@@ -11,8 +11,8 @@ from estimators.analysis.energy import (
     snn_flops,
     synapses,
 )
+from estimators.networks.forward import OnLoihi
 from estimators.networks.network import create_network
-from estimators.networks.on_chip import OnLoihi
 from estimators.networks.weights_file import load_network
 
 

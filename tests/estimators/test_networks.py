@@ -14,7 +14,7 @@ from safetensors.numpy import save_file
 
 from estimators.loihi import LoihiLayer, LoihiNetwork
 from estimators.networks.encoder import scaled_inputs
-from estimators.networks.forward import Weights, real_weights
+from estimators.networks.forward import OnLoihi, Weights, real_weights
 from estimators.networks.gru import Recurrent, tanh
 from estimators.networks.network import (
     BatchedNetwork,
@@ -22,7 +22,6 @@ from estimators.networks.network import (
     create_network,
     silenced,
 )
-from estimators.networks.on_chip import OnLoihi
 from estimators.networks.weights_file import (
     EXPONENTS,
     NetworkConfig,

@@ -6,9 +6,9 @@ import pytest
 from estimators.evaluation.flights import load_flights
 from estimators.metrics import attitude_error
 from estimators.networks.encoder import ENCODER, scaled_inputs
+from estimators.networks.forward import OnLoihi
 from estimators.networks.gru import Recurrent
 from estimators.networks.network import NetworkEstimator, silenced
-from estimators.networks.on_chip import OnLoihi
 from estimators.networks.weights_file import load_network
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset

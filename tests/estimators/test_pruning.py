@@ -5,8 +5,8 @@ from estimators.analysis.ablation import CRITERIA, ablation, error_deg, importan
 from estimators.analysis.activity import record
 from estimators.analysis.encoding_study import manipulations, preferred, responses, tuning_curves
 from estimators.evaluation.flights import load_flights
+from estimators.networks.forward import OnLoihi
 from estimators.networks.network import NetworkEstimator, Spiking
-from estimators.networks.on_chip import OnLoihi
 from estimators.networks.weights_file import load_network
 
 

@@ -10,8 +10,8 @@ import pytest
 import torch
 from plain_network import Plain
 
+from estimators.networks.forward import OnLoihi
 from estimators.networks.network import NetworkEstimator, create_network
-from estimators.networks.on_chip import OnLoihi
 from estimators.networks.weights_file import EXPONENTS, load_network
 from quadsim.dataset.generation import generate
 from quadsim.flight.recipe import load_recipe
