@@ -9,9 +9,9 @@ from estimators.evaluation.beliefs import beliefs
 from estimators.evaluation.comparison import evaluate
 from estimators.evaluation.flights import load_flights
 from estimators.evaluation.logs import score_logs
-from estimators.filters.drag.drag_aided import LEVER, SHARED
+from estimators.filters.drag.drag_aided import ACCEL_BIAS, ERRORS, GYRO_BIAS, LEVER, SHARED, transition
 from estimators.filters.drag.imm import InteractingModels
-from estimators.filters.drag.imm_model import FREEDOM, MODELS, MULTIROTOR, student
+from estimators.filters.drag.imm_model import FREEDOM, MODELS, MULTIROTOR, STATE, adapt_bias, student
 from estimators.metrics import absolute_error, inclination_error
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
@@ -20,6 +20,7 @@ from quadsim.imu.spec import RotorVibration
 from quadsim.logs.recording import Recording, Track
 from quadsim.logs.resample import resample
 from quadsim.rotation import (
+    matrix_from_quat,
     quat_conjugate,
     quat_from_euler,
     quat_multiply,
@@ -27,6 +28,7 @@ from quadsim.rotation import (
     quat_rotate_inverse,
     roll_pitch_from_quat,
 )
+from quadsim.runs.compiled import njit
 from quadsim.vehicle import GRAVITY
 
 RATE = 200.0
@@ -205,6 +207,32 @@ def test_dashes_that_follow_each_other_are_not_taken_for_steps(tmp_path):
     gyro, accel, quat = (data[name].to_numpy().astype(float) for name in ("gyro", "accel", "quat"))
     dashes = gyro, accel, roll_pitch_from_quat(quat)
     assert rmse(imm(), *dashes) < 1.15 * rmse(imm(step_ratio=1e9), *dashes)
+
+
+@njit
+def take_step(models, params, matrix):
+    """A step of the bias is found by the first model."""
+    adapt_bias(models[0], params[0], 0.02, np.zeros(ERRORS), 0.0, matrix)
+
+
+def test_a_step_that_is_found_adds_what_an_unknown_bias_does_within_its_time():
+    """The covariance is propagated in small steps from a variance of the bias alone."""
+    est = imm()
+    params = est._params
+    models = np.zeros(1, STATE)
+    models["step_clock"], models["tilt_due"], models["tilt_sum"] = 10.0, 1.0, 100.0
+    rows = matrix_from_quat(quat_from_euler(0.3, -0.5, 0.8)).ravel()
+    take_step(models, params, tuple(rows))
+    found = models["covariance"][0, :ACCEL_BIAS, :ACCEL_BIAS]
+    time, steps = params["step_time"][0], 4000
+    P = np.zeros((ERRORS, ERRORS))
+    P[range(GYRO_BIAS, ACCEL_BIAS), range(GYRO_BIAS, ACCEL_BIAS)] = params["step_sigma"][0] ** 2
+    for _ in range(steps):
+        for _ in range(2):  # F (F P)ᵀ
+            transition(P, tuple(rows), np.zeros(3), np.zeros(2), time / steps, False)
+            P = np.ascontiguousarray(P.T)
+    np.testing.assert_allclose(found, P[:ACCEL_BIAS, :ACCEL_BIAS], atol=1e-3 * found.max())
+    assert models["step_clock"] == models["tilt_due"] == 0.0
 
 
 def test_a_hand_that_shakes_harder_than_80_m_s2_is_measured():
