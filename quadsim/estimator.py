@@ -91,6 +91,19 @@ def numbers_of(returned: object, shape: tuple[int, ...], call: str, what: str) -
     return array.astype(np.float64)
 
 
+def rows_of(ids: ArrayLike, n: int) -> NDArray[np.intp]:
+    """Indices (m,) of some of n vehicles, given by their indices or by a mask (n,).
+
+    Raises:
+        ValueError: There are no such vehicles.
+    """
+    given = np.atleast_1d(np.asarray(ids))
+    try:
+        return np.arange(n)[given if given.size else given.astype(np.intp)]
+    except IndexError as error:
+        raise ValueError(f"ids of {n} vehicles: {error}") from None
+
+
 def receives_truth(estimator: object) -> bool:
     """Whether an estimator is fed the true attitude: a reference, which no table ranks."""
     return callable(getattr(estimator, "observe", None))

@@ -23,7 +23,7 @@ from typing import Any, ClassVar, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from quadsim.estimator import OtherSensors
+from quadsim.estimator import OtherSensors, rows_of
 from quadsim.rotation import euler_from_quat, quat_from_roll_pitch, quat_normalize
 
 from .samples import initial_samples
@@ -66,7 +66,7 @@ class BatchedFilter:
         self, ids: ArrayLike, roll_pitch: ArrayLike | None = None, quat: ArrayLike | None = None
     ) -> None:
         """Initialise some vehicles again, the others continue; attitudes (len(ids), ·) as in `reset`."""
-        rows = np.atleast_1d(np.asarray(ids, dtype=np.intp))
+        rows = rows_of(ids, len(self.state))
         if rows.size > 0:
             self.state[rows] = self._started(*initial_quat(rows.size, roll_pitch, quat))
             self._samples[rows] = initial_samples(rows.size)

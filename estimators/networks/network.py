@@ -14,7 +14,7 @@ from typing import Any, Protocol, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from quadsim.estimator import OtherSensors
+from quadsim.estimator import OtherSensors, rows_of
 from quadsim.rotation import roll_pitch_of_up, roll_pitch_rows
 
 from .forward import OnLoihi, Spiking
@@ -95,7 +95,7 @@ class BatchedNetwork:
 
     def _begin_again(self, ids: ArrayLike) -> NDArray[np.intp]:
         """Start some of the vehicles again; their rows."""
-        rows = np.arange(len(self._states))[np.asarray(ids, dtype=np.intp)]
+        rows = rows_of(ids, len(self._states))
         self._states[rows] = 0
         return rows
 
@@ -165,7 +165,7 @@ class NetworkEstimator(BatchedNetwork):
 
     def restart(self, ids: ArrayLike, roll_pitch: ArrayLike | None = None) -> None:
         """Start some of the vehicles again, (k,) of them; an initial attitude (k, 2) is ignored."""
-        rows = np.arange(len(self._states))[np.asarray(ids, dtype=np.intp)]
+        rows = rows_of(ids, len(self._states))
         _check_attitude(roll_pitch, rows.size)
         self._begin_again(rows)
         if self.up is not None:

@@ -120,6 +120,15 @@ def test_streaming_equals_the_whole_sequence_however_many_vehicles_there_are(est
         np.testing.assert_array_equal(np.stack(streamed, 1), whole[part])
 
 
+def test_vehicles_are_given_by_index_or_by_mask():
+    assert rows_of([2, 0], 3).tolist() == [2, 0]
+    assert rows_of(np.array([True, False, True]), 3).tolist() == [0, 2]
+    assert rows_of([], 3).size == 0
+    for wrong in ([3], [0.5], [True, False]):
+        with pytest.raises(ValueError, match="ids of 3 vehicles"):
+            rows_of(wrong, 3)
+
+
 def test_restart_leaves_the_others_alone(est):
     gyro, accel = samples(3, 60)
     est.reset(3)
