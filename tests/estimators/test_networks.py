@@ -30,6 +30,7 @@ from estimators.networks.weights_file import (
     parameters,
     save_network,
 )
+from quadsim.estimator import rows_of
 
 
 def random_rnn(config, seed=0):
