@@ -13,17 +13,20 @@ from ..bench.verdict import Verdict
 
 
 def rows_table(rows: Sequence[Mapping[str, object]], title: str = "") -> Table:
-    """A table of rows by their headings; numbers are aligned to the right, and a dash is none."""
+    """A table of rows by their headings; numbers are aligned to the right, and a dash is none.
+
+    The first column, of names, is not wrapped. A column without any text is left out.
+    """
     table = Table(title=title, box=SIMPLE, padding=(0, 1, 0, 0))
-    for heading in rows[0]:
+    shown = [heading for heading in rows[0] if any(row[heading] != "" for row in rows)]
+    for heading in shown:
         number = all(isinstance(row[heading], int | float | None) for row in rows)
-        table.add_column(Text(heading), justify="right" if number else "left", overflow="fold")
+        place = "right" if number else "left"
+        table.add_column(Text(heading), justify=place, overflow="fold", no_wrap=heading == shown[0])
     for row in rows:
+        values = (row[heading] for heading in shown)
         table.add_row(
-            *(
-                Text(f"{v:.2f}" if isinstance(v, float) else str("–" if v is None else v))
-                for v in row.values()
-            )
+            *(Text(f"{v:.2f}" if isinstance(v, float) else str("–" if v is None else v)) for v in values)
         )
     return table
 
