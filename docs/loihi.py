@@ -7,22 +7,15 @@ from pages import Page, Parts, row
 from simulated import simulated
 
 from estimators.analysis.ablation import error_deg
-from estimators.analysis.energy import HOST_PICOJOULES, PAPER_MEASURED, host_operations
-from estimators.analysis.inspection import (
-    FRACTIONS,
-    Inspection,
-    ablation_figure,
-    inspect,
-    raster_figure,
-    tuning_figure,
-)
-from estimators.analysis.latency import PAPER_US, contenders, measure
+from estimators.analysis.activity import record
+from estimators.analysis.energy import HOST_PICOJOULES, PAPER_MEASURED, costs, counts, host_operations
+from estimators.analysis.latency import contenders, measure
 from estimators.evaluation.flights import Flights, load_flights
 from estimators.loihi.chip import LIMITS
 from estimators.networks.decay_profiles import share_profiles
-from estimators.networks.forward import OnLoihi
 from estimators.networks.network import silenced
-from estimators.networks.weights_file import Tensors, load_network
+from estimators.networks.forward import OnLoihi
+from estimators.networks.weights_file import NetworkConfig, Tensors, load_network
 
 NAME = "att-snn-paper"
 """The network that the page describes."""
@@ -57,56 +50,44 @@ def latency_rows() -> list[str]:
     return [row(name, f"{middle:.2f}", f"{high:.2f}", f"{middle / chip:.2f}") for middle, high, name in found]
 
 
-def host_rows(found: Inspection) -> list[str]:
+def host_rows(config: NetworkConfig) -> list[str]:
     """Operations of the host, with their modelled energy, and their sum."""
-    counted = host_operations(found.config)
+    counted = host_operations(config)
     counted |= {"sum": sum(counted.values())}
     both = sum(HOST_PICOJOULES.values()) / 1e3
     return [row(part, count, count, f"{count * both:.2f}") for part, count in counted.items()]
 
 
-def energy_rows(found: Inspection) -> list[str]:
+def energy_rows(core: OnLoihi, flights: Flights) -> list[str]:
     """The energy model of the chip line by line, and its sum."""
+    lines = costs(counts(core, record(core, flights.gyro, flights.accel)))
     rows = [
         row(
             each.operation, f"{each.count:.1f}", f"{each.picojoules:g}", f"{each.nanojoules:.2f}",
             f"{each.share:.1%}",
         )
-        for each in found.costs
+        for each in lines
     ]  # fmt: skip
-    return [*rows, row("sum", "", "", f"{sum(each.nanojoules for each in found.costs):.2f}", "")]
-
-
-def summary_rows(found: Inspection) -> list[str]:
-    """The terminal's summary, without what other tables of the page show."""
-    return [row(key, text) for key, text in found.summary() if "layer" in key or "neurons follow" in key]
+    return [*rows, row("sum", "", "", f"{sum(each.nanojoules for each in lines):.2f}", "")]
 
 
 def values(page: Page, given: Namespace) -> Parts:
     """Measure everything, and draw."""
     flights = load_flights([simulated("val", given.data)])
     config, tensors = load_network(NAME)
-    found = inspect(config, tensors, flights)
+    core = OnLoihi(config, tensors)
     silenced_deg = f"{error_deg(config, silenced(config, tensors), flights):.2f}"
-    page.save(raster_figure(found.activity, found.truth, config.rate_hz), "loihi-raster.png", colours=64)
-    page.save(tuning_figure(found.activity, found.tuning), "loihi-tuning.png", colours=64)
-    page.save(ablation_figure(FRACTIONS, found.ablation), "loihi-ablation.png", colours=64)
     return {
-        "cores": core_rows(found.core),
+        "cores": core_rows(core),
         "limits": " | ".join(f"{key} ({limit})" for key, limit in LIMITS.items()),
         "limit_lines": "|".join("---" for _ in LIMITS),
         "profiles": profile_rows(tensors, flights, silenced_deg),
         "latency": latency_rows(),
-        "paper_us": f"{next(iter(PAPER_US.values())):g}",
+        "paper_us": f"{PAPER_MEASURED['µs']:g}",
         "flights": str(len(flights.gyro)),
-        "host": host_rows(found),
+        "host": host_rows(config),
         "multiplication": f"{HOST_PICOJOULES['multiplication']:g}",
         "addition": f"{HOST_PICOJOULES['addition']:g}",
-        "energy": energy_rows(found),
+        "energy": energy_rows(core, flights),
         "paper": " and ".join(f"{value:g} {unit}" for unit, value in PAPER_MEASURED.items()) + " a step",
-        "summary": summary_rows(found),
-        "inputs": [
-            row(key, f"{each.error_deg:.2f}", silenced_deg, f"{each.gain:.2f}")
-            for key, each in found.responses.items()
-        ],
     }

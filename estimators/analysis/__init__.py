@@ -1,1 +1,1 @@
-"""Analysis of networks: weights and flights go in; activity, encodings, ablations and costs come out."""
+"""Analysis of networks: weights and flights go in; activity, ablations and costs come out."""

@@ -1,4 +1,4 @@
-"""Networks without some of their neurons: which to leave out, and what it costs."""
+"""Networks without some of their neurons, and what it costs."""
 
 from __future__ import annotations
 
@@ -10,38 +10,9 @@ from numpy.typing import NDArray
 from ..evaluation.flights import Flights
 from ..metrics import attitude_error
 from ..networks.network import NetworkEstimator, Spiking
-from ..networks.weights_file import AXES, NetworkConfig, Tensors, exponents
-from .activity import Activity
+from ..networks.weights_file import AXES, NetworkConfig, Tensors
 
 Array = NDArray[np.float64]
-CRITERIA = ("activity", "magnitude", "contribution", "random")
-
-
-def importance(tensors: Tensors, activity: Activity, by: str, seed: int = 0) -> tuple[Array, Array]:
-    """How much each neuron of the encoding and of the hidden layer matters; the least goes first.
-
-    activity: its spike rate r. magnitude: the root sum of squares of the weights it sends out. contribution:
-    that times the standard deviation of its spikes, √(r (1 − r)), for a neuron that is always silent or
-    always on says nothing. random: drawn, to compare with.
-
-    Raises:
-        ValueError: No such criterion.
-    """
-    if by not in CRITERIA:
-        raise ValueError(f"criterion is {by!r}; choose {', '.join(CRITERIA)}")
-    rng, found = np.random.default_rng(seed), []
-    for layer, sent in enumerate((["w_ff"], ["w_rec", "w_out"])):
-        rate = activity.of_layer(activity.rates, layer)
-        real = [tensors[name] * np.exp2(exponents(tensors, name))[:, None] for name in sent]
-        size = np.sqrt(sum((each**2).sum(axis=0) for each in real))
-        values = {
-            "activity": rate,
-            "magnitude": size,
-            "contribution": size * np.sqrt(rate * (1 - rate)),
-            "random": rng.permutation(rate.size).astype(np.float64),
-        }
-        found.append(values[by])
-    return found[0], found[1]
 
 
 def without(
@@ -60,7 +31,7 @@ def without(
 def pruned(
     config: NetworkConfig, tensors: Tensors, values: Sequence[Array], fraction: float
 ) -> tuple[NetworkConfig, Tensors]:
-    """The network without the least important fraction of all neurons; at least one stays in each layer.
+    """The network without the fraction of all neurons that has the least values; one of each layer stays.
 
     Raises:
         ValueError: A fraction outside [0, 1).

@@ -11,8 +11,6 @@ from ..networks.forward import BIAS_EXP, OnLoihi
 from ..networks.network import roll_pitch_of_outputs, zero_states
 
 Array = NDArray[np.float64]
-LAYERS = ("encoding", "hidden")
-"""Layers that spike; the outputs do not."""
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..evaluation.flights import Flights
 from ..loihi.chip import ChipCore
+from ..metrics import attitude_error
 from ..networks.forward import OnLoihi
 from ..networks.weights_file import NetworkConfig
-from .activity import Activity
+from .activity import Activity, record
 
 PICOJOULES = {
     "synaptic event": 23.6,
@@ -97,6 +99,28 @@ def costs(counted: dict[str, float]) -> list[Cost]:
     return [
         Cost(name, counted[name], each, counted[name] * each / total) for name, each in PICOJOULES.items()
     ]
+
+
+def summary(config: NetworkConfig, core: OnLoihi, flights: Flights) -> dict[str, str]:
+    """What a terminal shows of a network on the chip over flights: spikes, operations, energy, error.
+
+    Raises:
+        ValueError: The network is a controller, or the flights have another sample rate.
+    """
+    if config.controls:
+        raise ValueError("the network is a controller, flights are for attitude estimators; leave out --data")
+    if not np.isclose(flights.rate_hz, config.rate_hz):
+        raise ValueError(f"the network is for {config.rate_hz:g} Hz, the flights have {flights.rate_hz:g} Hz")
+    activity = record(core, flights.gyro, flights.accel)
+    rates = {name: activity.of_layer(activity.rates, k) for k, name in enumerate(("encoding", "hidden"))}
+    lines = costs(counts(core, activity))
+    found = {
+        f"{name} layer": f"{each.mean():.3f} spikes per neuron and step, {(each == 0).sum()} silent"
+        for name, each in rates.items()
+    }
+    found |= {f"{each.operation}, a step": f"{each.count:.4g}" for each in lines}
+    found["modelled dynamic energy"] = f"{sum(each.nanojoules for each in lines):.0f} nJ a step"
+    return found | {"error": f"{attitude_error(activity.estimate, flights.truth).mean:.2f}°"}
 
 
 def snn_flops(encoding: int, hidden: int, spikes: tuple[float, float], outputs: int = 2) -> dict[str, float]:

@@ -193,8 +193,6 @@ def fig8(numbers: Numbers) -> Figure:
 
 def fig9(numbers: Numbers) -> Figure:
     """Time of an update (1st, 50th, 99th percentile) beside the paper's, and modelled energy of a step."""
-    from estimators.analysis.latency import point  # imports torch
-
     taken = dict(sorted(numbers["latencies"].items(), key=lambda item: item[1][1]))
     layer = {"Loihi": "loihi_us", "PyTorch SNN": "snn_us", "GRU": "gru_us"}
     paper = {
@@ -203,7 +201,7 @@ def fig9(numbers: Numbers) -> Figure:
     figure, (left, right) = _panels(9.6, 4.4, 1, 2, width_ratios=(1.5, 1))
     for place, (name, (low, middle, high)) in enumerate(taken.items()):
         left.plot([low, high], [place, place], color=GREY, lw=3, solid_capstyle="butt")
-        left.plot(middle, place, ls="", ms=6, **point(name))
+        left.plot(middle, place, ls="", ms=6, color=look(name).colour, marker=look(name).marker)
         _note(left, f"{middle:.3g}", (high, place), (5, -3))
     for place, value in enumerate(paper.values(), len(taken)):
         left.plot(value, place, **DIAMOND)

@@ -5,19 +5,20 @@ from pathlib import Path
 
 import numpy as np
 
-from estimators.analysis.ablation import CRITERIA, ablation, error_deg, importance, without
+from estimators.analysis.ablation import ablation, error_deg, without
 from estimators.analysis.activity import record
-from estimators.analysis.encoding_study import responses
 from estimators.analysis.energy import costs, counts, gru_flops, snn_flops
-from estimators.analysis.inspection import FRACTIONS
-from estimators.networks.forward import OnLoihi
+from estimators.analysis.manipulation import responses
 from estimators.networks.network import NetworkEstimator, Spiking
+from estimators.networks.forward import OnLoihi
 from estimators.networks.weights_file import load_network
 from quadsim.dataset.reading import open_dataset
 
 from ..stages import FLIGHTS, WEIGHTS, Inputs, Numbers
 from .scores import flights_of
 
+FRACTIONS = tuple(np.round(np.arange(0.0, 0.65, 0.05), 2))
+"""Shares of the neurons that the ablation curves remove."""
 RARE = 0.005
 """Spikes per step below which the paper removes a neuron."""
 
@@ -34,10 +35,9 @@ def look(folder: Path, inputs: Inputs) -> Numbers:
     activity = record(core, flights.gyro, flights.accel)
     rates = [activity.of_layer(activity.rates, layer) for layer in (0, 1)]
     left = without(config, tensors, [np.flatnonzero(rate >= RARE) for rate in rates])
-    curves = {
-        by: ablation(config, tensors, importance(tensors, activity, by), FRACTIONS, flights)
-        for by in CRITERIA
-    }
+    rng = np.random.default_rng(0)
+    values = {"activity": rates, "random": [rng.random(rate.size) for rate in rates]}
+    curves = {by: ablation(config, tensors, each, FRACTIONS, flights) for by, each in values.items()}
     synapses = [
         sum(int(np.prod(t[name].shape)) for name in ("w_in", "w_ff", "w_rec", "w_out"))
         for _, t in ((config, tensors), left)

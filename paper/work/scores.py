@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators import create, run
+from estimators.analysis.latency import contenders, measure
 from estimators.evaluation.comparison import evaluate, tilted_starts
 from estimators.evaluation.flights import Flights, load_flights
 from estimators.metrics import absolute_error, attitude_error, inclination_error
@@ -192,7 +193,5 @@ def error_in_parts(log: Log, end: NDArray[np.int64]) -> list[float]:
 
 def latencies(folder: Path, inputs: Inputs, *, rounds: int) -> Numbers:
     """Time of one update of every estimator (Fig. 9), in turns: 1 %, 50 % and 99 % [µs]."""
-    from estimators.analysis.latency import contenders, measure
-
     taken = measure(contenders(), rounds)
     return {name: np.percentile(each, [1, 50, 99]).tolist() for name, each in taken.items()}

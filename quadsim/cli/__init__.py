@@ -14,7 +14,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from . import catalogue, data, flights, identification, installation, networks, report, studies
+from . import catalogue, data, flights, identification, networks, report, studies
 
 app = typer.Typer(
     name="quadsim",
@@ -41,7 +41,6 @@ for verb in (
 ):
     app.command()(verb)
 app.command("list")(catalogue.list_names)
-app.command("compile")(installation.compile_code)
 
 
 def _version(wanted: bool) -> None:

@@ -4,11 +4,9 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
-from rich.table import Table
 
 from ..runs.console import output as console
 from ..runs.console import print_table, progress_bar
-from ..runs.files import alone
 from .logs import show_log, show_mount
 from .options import Imu, Mount, Truth
 
@@ -25,7 +23,7 @@ def report(
         Path | None,
         typer.Option(
             help="For a benchmark: HTML file to write; default: PATH/report.html. For a dataset: picture "
-            "to write. For weights with --data: folder to write; default: reports/inspect."
+            "to write."
         ),
     ] = None,
     verify: Annotated[
@@ -52,8 +50,8 @@ def report(
 
     Benchmark: writes its report again. Dataset: prints its contents; with --out, draws its distributions (the
     paper's Fig. 3) and one flight. Weights of an Att-SNN: prints how many of the chip's cores it needs; with
-    --data, also measures its neurons on these flights and draws raster, tuning curves and ablation. Log:
-    prints its contents, its problems, and which signal is used as the truth.
+    --data, also its spikes, operations, modelled energy and error on these flights. Log: prints its contents,
+    its problems, and which signal is used as the truth.
 
     Opening a dataset checks names, dimensions, shapes and units. It compares files with their digests only if
     the size or the time stamp of a file has changed; --verify always compares them.
@@ -77,8 +75,8 @@ def report(
         _refuse_others(given, "a circuit", "--data")
         _report_circuit(path, data or [])
     elif place.suffix == END or path in (*shipped_names(), *shipped_controllers()):
-        _refuse_others(given, "weights", "--out", "--data")
-        _report_weights(path, data or [], out or Path("reports/inspect"))
+        _refuse_others(given, "weights", "--data")
+        _report_weights(path, data or [])
     elif place.suffix == ".zarr" or (place / "zarr.json").exists():
         _refuse_others(given, "a dataset", "--out", "--verify")
         _report_dataset(place, verify, out)
@@ -110,11 +108,8 @@ def _report_dataset(path: Path, verify: bool, out: Path | None) -> None:
         with progress_bar("verify", "flights") as progress:
             total = verify_dataset(path, progress)
         console.print(f"{path}: all {total} flights are whole", soft_wrap=True)
-    table = Table(show_header=False)
-    for key, value in dataset_info(path).items():
-        if key != "config":
-            table.add_row(key, f"{value:.3f}" if isinstance(value, float) else str(value))
-    console.print(table)
+    info = dataset_info(path).items()
+    print_table([(k, f"{v:.3f}" if isinstance(v, float) else v) for k, v in info if k != "config"])
     if out is not None:
         console.print(f"{plot(path, out)}", soft_wrap=True)
 
@@ -124,7 +119,6 @@ def _report_circuit(path: str, data: list[Path]) -> None:
     from estimators.circuit.chip import place, populations
     from estimators.circuit.file import load_circuit
     from estimators.circuit.parameters import quantised
-    from scenarios.report.terminal import plain_table
 
     config, parameters = load_circuit(path)
     circuit = quantised(parameters, config.steps_per_sample)
@@ -135,17 +129,17 @@ def _report_circuit(path: str, data: list[Path]) -> None:
     last = f"{path}: {neurons} neurons on {cores} of a chip's 128 cores"
     if data:
         found = measure(config, parameters, data)
-        console.print(plain_table(found.summary()))
+        print_table(found.summary())
         last += f", error {found.error_deg:.2f}°"
     console.print(last, soft_wrap=True)
 
 
-def _report_weights(weights: str, data: list[Path], out: Path) -> None:
-    from estimators.analysis.inspection import inspect
+def _report_weights(weights: str, data: list[Path]) -> None:
+    from estimators.analysis.energy import summary
     from estimators.evaluation.flights import load_flights
     from estimators.networks.forward import OnLoihi
     from estimators.networks.weights_file import load_network
-    from scenarios.report.terminal import cores_table, plain_table
+    from scenarios.report.terminal import cores_table
 
     from ..dataset.reading import open_dataset
 
@@ -154,11 +148,7 @@ def _report_weights(weights: str, data: list[Path], out: Path) -> None:
     console.print(cores_table(core.cores))
     last = f"{weights}: {sum(core.sizes)} neurons on {len(core.cores)} of a chip's 128 cores"
     if data:
-        with alone(out):
-            flights = load_flights([open_dataset(path) for path in data])
-            with progress_bar("inspect", "parts") as bar:
-                inspection = inspect(config, tensors, flights, bar)
-            console.print(plain_table(inspection.summary()))
-            inspection.draw(out)
-            last = f"{out}: {last}, error {inspection.responses['intact'].error_deg:.2f}°"
+        found = summary(config, core, load_flights([open_dataset(path) for path in data]))
+        print_table(found.items())
+        last += f", error {found['error']}"
     console.print(last, soft_wrap=True)

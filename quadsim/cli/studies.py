@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from ..runs.console import output as console
-from ..runs.console import progress_bar
+from ..runs.console import print_table, progress_bar
 from ..runs.files import alone
 from .options import Mount, Seed, Workers
 
@@ -118,11 +118,10 @@ def paper(
     Example: quadsim paper --out reports/paper --only table2,fig6
     """
     from paper.run import paper as make_paper
-    from scenarios.report.terminal import plain_table
 
     with alone(out), progress_bar("paper", "stages") as bar:
         done = make_paper(out, only, preset, seed, workers, bar)
     rows = [(each.claim, each.verdict) for each in done.judged if each.verdict != "not judged"]
     if rows:
-        console.print(plain_table(rows))
+        print_table(rows)
     console.print(f"{done.page}: {done.headline}", soft_wrap=True)

@@ -63,11 +63,3 @@ def cores_table(cores: Sequence[ChipCore]) -> Table:
         for number, core in enumerate(cores)
     ]
     return rows_table(rows, "On the chip: used of what a core has")
-
-
-def plain_table(rows: Sequence[tuple[str, str]]) -> Table:
-    """What and how much, a line each."""
-    table = Table(show_header=False, box=SIMPLE)
-    for row in rows:
-        table.add_row(*row)
-    return table

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from estimators.analysis.ablation import CRITERIA, ablation, error_deg, importance, pruned, without
+from estimators.analysis.ablation import ablation, error_deg, pruned, without
 from estimators.analysis.activity import record
-from estimators.analysis.encoding_study import manipulations, preferred, responses, tuning_curves
+from estimators.analysis.manipulation import responses
 from estimators.evaluation.flights import load_flights
 from estimators.networks.forward import OnLoihi
 from estimators.networks.network import NetworkEstimator, Spiking
@@ -34,45 +34,27 @@ def test_neurons_that_never_spike_can_go_without_a_trace(network, seen, activity
 
 
 def test_the_least_important_go_first_and_the_curve_starts_at_the_whole(network, seen, activity):
-    for by in CRITERIA:
-        values = importance(network[1], activity, by)
-        config, tensors = pruned(*network, values, 0.3)
-        left = (config.encoding + config.hidden) / (network[0].encoding + network[0].hidden)
-        assert left == pytest.approx(0.7, abs=0.005)
-        assert tensors["w_ff"].shape == (config.hidden, config.encoding)
-        curve = ablation(*network, values, (0.0, 0.9), seen)
-        assert curve[0] == error_deg(*network, seen)
-        assert curve[1] > 1.5 * curve[0]
+    values = [activity.of_layer(activity.rates, k) for k in (0, 1)]
+    config, tensors = pruned(*network, values, 0.3)
+    left = (config.encoding + config.hidden) / (network[0].encoding + network[0].hidden)
+    assert left == pytest.approx(0.7, abs=0.005)
+    assert tensors["w_ff"].shape == (config.hidden, config.encoding)
+    curve = ablation(*network, values, (0.0, 0.9), seen)
+    assert curve[0] == error_deg(*network, seen)
+    assert curve[1] > 1.5 * curve[0]
     values = np.random.default_rng(0).random(200)
     _, tensors = pruned(*network, [values[:100], values[100:]], 0.3)
     kept = np.argsort(-values)[:140]
     np.testing.assert_array_equal(tensors["mem1"], network[1]["mem1"][np.sort(kept[kept >= 100]) - 100])
 
 
-def test_bad_choices_are_refused(network, activity):
-    with pytest.raises(ValueError, match="criterion is 'luck'; choose activity, magnitude"):
-        importance(network[1], activity, "luck")
+def test_a_fraction_of_all_neurons_is_refused(network):
     with pytest.raises(ValueError, match=r"fraction: 1.0, should be in \[0, 1\)"):
-        pruned(*network, importance(network[1], activity, "activity"), 1.0)
+        pruned(*network, [np.ones(100), np.ones(100)], 1.0)
 
 
 def test_without_its_gyroscope_a_network_does_not_follow(network, seen):
     est = NetworkEstimator(Spiking(*network), 200.0)
     found = responses(est, seen)
-    assert found["gyro removed"].gain < 0.3 < 0.7 < found["intact"].gain
+    assert found["gyro removed"].fast_gain < 0.3 < 0.7 < found["intact"].fast_gain
     assert found["accel zero"].error_deg != found["accel removed"].error_deg  # the input of rest is not 0
-    level = manipulations(seen)["accel = gravity"][1]
-    np.testing.assert_allclose(np.linalg.norm(level, axis=2), 9.81)
-
-
-def test_tuning_curves_find_what_a_neuron_follows(seen, activity):
-    """Spikes are replaced by ones that depend on one quantity alone."""
-    rng = np.random.default_rng(0)
-    spikes = activity.spikes.copy()
-    for k, signal in enumerate(
-        (seen.truth[..., 0], seen.truth[..., 1], seen.gyro[..., 0], seen.gyro[..., 1])
-    ):
-        spikes[..., k] = rng.random(signal.shape) < 1 / (1 + np.exp(-3 * signal / signal.std()))
-    curves = tuning_curves(type(activity)(**{**vars(activity), "spikes": spikes}), seen)
-    np.testing.assert_array_equal(preferred(curves)[:4], [0, 1, 2, 3])
-    assert np.all(np.diff(curves["roll"].rates[0]) > -0.1)

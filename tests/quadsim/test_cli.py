@@ -16,7 +16,7 @@ from training.loop import INTERRUPTED
 
 VERBS = [
     *("generate", "train", "tune", "evaluate", "fly", "bench", "report", "export"),
-    *("compile", "identify", "demo", "paper", "list"),
+    *("identify", "demo", "paper", "list"),
 ]
 
 
@@ -55,7 +55,6 @@ def dataset(quadsim, tmp_path):
         "evaluate --data flights.zarr --estimator mahony",
         "train --data flights.zarr",
         "train --preset control-attitude",
-        "report att-snn-paper --data flights.zarr",
     ],
 )
 def test_a_folder_that_another_process_writes_is_left_alone(quadsim, tmp_path, command):
