@@ -5,14 +5,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from estimators.circuit.file import SHIPPED as CIRCUITS
 from quadsim.config.toml import nearest
 from quadsim.held_out import unreserved
-from quadsim.runs.fingerprint import content_digest
 
 from .stages import Stage
 from .work import filters, flights, inside, networks, scores
-from .work.scores import FILTERS, SHIPPED
+from .work.scores import FILTERS
 
 PRESETS: dict[str, dict[str, Any]] = tomllib.loads(Path(__file__).with_name("sizes.toml").read_text("utf-8"))
 """Sizes of all that `quadsim paper` does."""
@@ -145,25 +143,15 @@ def _score(
     **settings: Any,
 ) -> Stage:
     """Run filters, as tuned, and networks on the flights of some stages."""
-    needed = [stage for _, stage, *_ in trained.values() if stage]
+    needed = [stage for _, stage in trained.values()]
     inputs = (*on, *(f"tune-{each}" for each in tuned), *needed)
     settings |= {"flights": list(on), "filters": list(tuned), "networks": trained}
     return Stage(name, make, settings, inputs, packages=("estimators",))
 
 
 def _scores(s: Sizes) -> list[Stage]:
-    made: dict[str, Sequence[str]] = {
-        "att-snn": ["att-snn", SNN],
-        "att-rnn": ["att-rnn", RNN],
-        "att-snn, chip": ["att-snn-loihi", CHIP],
-    }
-    for label, model in SHIPPED.items():
-        made[label] = [
-            model,
-            "",
-            content_digest(CIRCUITS[model].read_bytes())[:8],
-        ]  # new ones are scored again
-    looped = {label: made[label] for label in ("att-snn", "att-snn, chip")}
+    looped = {"att-snn": ("att-snn", SNN), "att-snn, chip": ("att-snn-loihi", CHIP)}
+    made = looped | {"att-rnn": ("att-rnn", RNN)}
     in_loop = ["complementary", "mahony", "ekf"]
     loop = {"seeds": s["loop_seeds"], "duration_s": s["loop_s"], "filters": in_loop, "networks": looped}
     folds = [SNN, *(f"net-fold-{k}" for k in range(1, s["folds"]))]
@@ -191,17 +179,14 @@ def _rates(s: Sizes) -> list[Stage]:
     for rate in s["rates_hz"]:
         train, test = f"fly-rate-{rate:g}", f"fly-rate-test-{rate:g}"
         at: dict[str, Any] = {"rate_hz": rate}
-        made = {"att-snn": ["att-snn", f"rate-{rate:g}"]}
+        made = {"att-snn": ("att-snn", f"rate-{rate:g}")}
         stages += [
             _fly(train, s["rate_flights"], s["flight_s"], first + 11, **at),
             _fly(test, s["test_flights"], s["test_s"], first + 12, **at),
             _train(f"rate-{rate:g}", PAPER | s["rate"], s["seed"], [train]),
-            _score(f"compare-rate-{rate:g}", [test], STUDY, made, **at),
+            _score(f"compare-rate-{rate:g}", [test], (), made, **at),
         ]
     return stages
-
-
-STUDY = ("mahony", "complementary")
 
 
 def _minutes(s: Sizes) -> list[Stage]:
@@ -212,5 +197,5 @@ def _minutes(s: Sizes) -> list[Stage]:
         stages.append(_fly(f"fly-minutes-{n}", n, 60.0, first + 13))
         recipe = PAPER | s["study"]
         stages.append(_train(f"minutes-{n}", recipe, s["seed"], [f"fly-minutes-{n}"], [choose]))
-    made = {str(n): ["att-snn", f"minutes-{n}"] for n in s["minutes"]}
-    return [*stages, _score("compare-minutes", TEST, (), made)]
+    made = {str(n): ("att-snn", f"minutes-{n}") for n in s["minutes"]}
+    return [*stages, _score("compare-minutes", TEST[:1], (), made)]

@@ -1,6 +1,7 @@
 """Plan, make the stages that are missing, judge the claims, write the pages."""
 
 import json
+import shutil
 from collections import Counter
 from pathlib import Path
 from typing import NamedTuple
@@ -79,6 +80,10 @@ def write_results(parts: Path, folder: Path, sizes: Sizes) -> list[Judgement]:
     files = {name: parts / name / NUMBERS for name in done}
     numbers = {name: json.loads(file.read_text("utf-8")) for name, file in files.items() if file.exists()}
     shown = [item for item, names in shows.items() if numbers.keys() >= set(names)]
+    if "fig3" in shown:
+        (folder / "img").mkdir(exist_ok=True)
+        for picture in (parts / "distributions").glob("*.png"):
+            shutil.copy(picture, folder / "img" / f"paper-fig3-{picture.name}")
     seconds = sum(record_of(parts / name, prints[name])["seconds"] for name in done)
     numbers = {name: numbers[name] for item in shown for name in shows[item]}
     return write_pages(folder, numbers, shown, sizes, seconds)

@@ -103,11 +103,6 @@ def interval(
     return Interval(function(*arrays), float(low), float(high))
 
 
-def mean(values: Sequence[float]) -> Interval:
-    """Of errors."""
-    return interval(lambda each: float(each.mean()), values)
-
-
 def ratio(above: Sequence[float], below: Sequence[float], paired: bool = False) -> Interval:
     """Mean of some errors over the mean of others."""
     return interval(lambda a, b: float(a.mean() / b.mean()), above, below, paired=paired)
@@ -253,22 +248,17 @@ def formulas(numbers: Numbers, limit: float) -> Judged:
     return over >= limit, False, measured
 
 
-def by_rate(numbers: Numbers, method: str) -> dict[float, list[float]]:
-    """Errors of a method on the test flights at each sample rate [deg]."""
+def rates(numbers: Numbers, limit: float) -> Judged:
+    """Error at the highest sample rate over that at the lowest."""
     prefix = "compare-rate-"
     found = {
-        float(name.removeprefix(prefix)): next(iter(stage["errors"][method].values()))
-        for name, stage in numbers.items()
+        float(name.removeprefix(prefix)): each["errors"]["att-snn"]
+        for name, each in numbers.items()
         if name.startswith(prefix)
     }
     if not found:
         raise KeyError("rate")
-    return dict(sorted(found.items()))
-
-
-def rates(numbers: Numbers, limit: float) -> Judged:
-    """Error at the highest sample rate over that at the lowest."""
-    by_hz = by_rate(numbers, "att-snn")
+    by_hz = dict(sorted(found.items()))
     over = ratio(by_hz[max(by_hz)], by_hz[min(by_hz)], paired=True)
     means = [float(np.mean(each)) for each in by_hz.values()]
     falls = all(b <= 1.02 * a for a, b in pairwise(means))
@@ -279,7 +269,7 @@ def rates(numbers: Numbers, limit: float) -> Judged:
 
 def minutes(numbers: Numbers, limit: float) -> Judged:
     """Error after 10 and 30 minutes of flight over that after the most."""
-    found = {int(n): each["fly-test-sim"] for n, each in numbers["compare-minutes"]["errors"].items()}
+    found = {int(n): each for n, each in numbers["compare-minutes"]["errors"].items()}
     most = max(found)
     over = {n: ratio(found[n], found[most], paired=True) for n in (10, 30) if n in found and n < most}
     enough = {n for n, each in over.items() if each.high < limit}

@@ -1,6 +1,6 @@
 """Figures in the paper's forms, from the stages' numbers; distinguished by line and marker in grey too."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,20 +10,17 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from estimators.appearance import look
-from quadsim.dataset.figures import LINES
 
-from ..plan import SNN, TEST
+from ..plan import SNN
 from ..work.scores import CONVERGED_DEG, FILTERS, RESPONSE_S, SHOWN_HZ, SIX
-from .claims import METHODS, NETWORKS, QUOTED, Numbers, by_rate, errors, mean
+from .claims import METHODS, NETWORKS, QUOTED, Numbers, errors
 from .tables import CURVES, OWN, RESPONSES
 
 BLACK, GREY, LIGHT = "#111111", "#999999", "#d9d9d9"
 COLOURS = (BLACK, "#0072b2", "#e08a00", "#7a5195", "#6b6b6b")
 DASHES = ("-", "--", "-.", ":", (0, (6, 1, 1, 1)))
-MARKS = ("o", "s", "^", "D", "v")
 DIAMOND: dict[str, Any] = {"marker": "D", "ls": "", "mfc": "white", "color": BLACK, "ms": 5}
 """How the paper's values are drawn."""
-DOMAIN_TITLES = {"sim": "Hummingbird, ADIS16448", "real": "px4-quad, Pixhawk 4 Mini"}
 SAME = {"att-snn, chip": "att-snn-loihi"}
 """Networks of the paper, and the estimator whose look they have."""
 
@@ -32,11 +29,6 @@ def _panels(width: float, height: float, *shape: int, **options: Any) -> tuple[F
     """A figure of a size [inch] and its axes."""
     figure = Figure(figsize=(width, height), layout="constrained")
     return figure, figure.subplots(*shape, **options)
-
-
-def _marked(k: int) -> dict[str, Any]:
-    """Colour, dash and marker of the k-th line of a figure that does not compare methods."""
-    return {"color": COLOURS[k], "ls": DASHES[k], "marker": MARKS[k], "ms": 5}
 
 
 def _note(axes: Axes, text: str, at: tuple[float, float], shift: tuple[float, float], **options: Any) -> None:
@@ -50,28 +42,6 @@ def _name_rows(axes: Axes, names: Sequence[str], size: float = 8) -> None:
     axes.set_yticks(range(len(names)), names, fontsize=size)
     axes.invert_yaxis()
     axes.grid(axis="y", visible=False)
-
-
-def fig3(numbers: Numbers) -> Figure:
-    """Inputs and outputs of both domains."""
-    groups = (
-        ("Gyroscope", "rad/s", ("gyro x", "gyro y", "gyro z")),
-        ("Accelerometer x, y", "m/s²", ("accel x", "accel y")),
-        ("Accelerometer z", "m/s²", ("accel z",)),
-        ("Attitude", "°", ("roll", "pitch")),
-    )
-    figure, panels = _panels(9.6, 4.4, 2, 4)
-    for row, (domain, title) in zip(panels, DOMAIN_TITLES.items(), strict=True):
-        for axes, (group, unit, names) in zip(row, groups, strict=True):
-            for name, (colour, dash) in zip(names, LINES, strict=False):
-                each = numbers["distributions"][domain][f"{name} [{unit}]"]
-                label = f"{name.split()[-1]}, SD {each['sd']:.2f}"
-                axes.stairs(each["density"], each["edges"], color=colour, ls=dash, label=label)
-            axes.set(xlabel=f"[{unit}]", title=group if domain == "sim" else "", yticks=[])
-            axes.set_ylim(0, 1.5 * axes.get_ylim()[1])
-            axes.legend(fontsize=7, loc="upper right", borderaxespad=0)
-        row[0].set_ylabel(f"{title}\ndensity")
-    return figure
 
 
 def fig4(numbers: Numbers) -> Figure:
@@ -113,7 +83,7 @@ def fig5(numbers: Numbers) -> Figure:
         label = "the paper, mean on its flights" if start == "known" else None
         drawn = axes.plot(*zip(*quoted, strict=True), **DIAMOND, zorder=5, label=label)
         handles.append(Patch(facecolor=colour, edgecolor=BLACK, hatch=hatch, label=f"{start} start"))
-    titles = [(OWN.get(name) or name).replace(" (", "\n(").replace(", ", ",\n") for name in names]
+    titles = [OWN.get(name, name).replace(" (", "\n(") for name in names]
     axes.set_xticks(range(len(names)), titles, fontsize=8)
     axes.set(ylabel="mean absolute error of a flight [°]")
     axes.set_ylim(bottom=0)
@@ -163,9 +133,9 @@ def fig7(numbers: Numbers) -> Figure:
     _note(left, "0.5 % of the steps", (0, 0.005), (2, -9))
     left.set(title="spikes per neuron and step, sorted", xlabel="neurons [%]", yscale="log")
     left.legend(fontsize=8, loc="lower center")
-    for k, (by, found) in enumerate(inside["ablation"].items()):
-        label = "at random" if by == "random" else f"by {by}"
-        right.plot(100 * np.array(inside["fractions"]), found, label=label, **_marked(k))
+    for (by, found), marker, dash in zip(inside["ablation"].items(), "os", DASHES, strict=False):
+        label, share = "at random" if by == "random" else f"by {by}", 100 * np.array(inside["fractions"])
+        right.plot(share, found, marker=marker, ms=5, ls=dash, color=BLACK, label=label)
     right.axvline(100 * QUOTED["activity"]["removed_neurons"], color=GREY, lw=0.8)
     right.set(title="error without neurons, untrained; vertical: the paper's", xlabel="neurons removed [%]")
     right.set_ylabel("mean absolute error [°]")
@@ -221,43 +191,5 @@ def fig9(numbers: Numbers) -> Figure:
     return figure
 
 
-def _against(
-    xlabel: str, lines: Mapping[str, tuple[Mapping[Any, Sequence[float]], dict[str, Any]]]
-) -> Figure:
-    """Mean errors with their intervals against a number, a line for each label."""
-    figure, axes = _panels(6.4, 3.4)
-    places: list[float] = []
-    for label, (found, style) in lines.items():
-        means = [mean(each) for each in found.values()]
-        ends = [[each.value - each.low for each in means], [each.high - each.value for each in means]]
-        places = [float(place) for place in found]
-        axes.errorbar(places, [each.value for each in means], ends, capsize=3, label=label, **style)
-    axes.set(xlabel=xlabel, ylabel="mean absolute error [°]")
-    axes.set_xscale("log")
-    axes.set_xticks(places, [f"{place:g}" for place in places])
-    axes.minorticks_off()
-    axes.set_ylim(bottom=0)
-    axes.legend(fontsize=8)
-    return figure
-
-
-def rate(numbers: Numbers) -> Figure:
-    """Error against the sample rate."""
-    names = ("att-snn", "complementary", "mahony")
-    lines = {name: (by_rate(numbers, name), {"ms": 5} | look(SAME.get(name, name)).points) for name in names}
-    return _against("sample rate [Hz]", lines)
-
-
-def minutes(numbers: Numbers) -> Figure:
-    """Error against the minutes of flight trained on."""
-    found = numbers["compare-minutes"]["errors"]
-    titles = dict(zip(TEST, ("unseen Hummingbird flights", "px4-quad, never trained on"), strict=True))
-    lines = {
-        title: ({n: sets[flights] for n, sets in found.items()}, _marked(k))
-        for k, (flights, title) in enumerate(titles.items())
-    }
-    return _against("minutes of flight trained on", lines)
-
-
-FIGURES = {make.__name__: make for make in (fig3, fig4, fig5, fig6, fig7, fig8, fig9, rate, minutes)}
+FIGURES = {make.__name__: make for make in (fig4, fig5, fig6, fig7, fig8, fig9)}
 """Figure of each item that has one."""

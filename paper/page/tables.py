@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 
 from ..plan import CHIP, CROSS, FIXED, RNN, SNN
-from ..work.scores import FILTERS, SHIPPED, SIX
+from ..work.scores import FILTERS, SIX
 from .claims import METHODS, NETWORKS, QUOTED, TITLES, Numbers, errors, median_time, operations, scatter
 
 CURVES = {
@@ -22,7 +22,7 @@ RESPONSES = {
     "intact": "untouched",
 }
 """The paper's four inputs of Fig. 8."""
-OWN = {"att-snn, chip": "Att-SNN (Loihi quantisation)"} | {label: label for label in SHIPPED}
+OWN = {"att-snn, chip": "Att-SNN (Loihi quantisation)"}
 """Networks that are none of the paper's."""
 
 

@@ -4,20 +4,17 @@ import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from pydantic import TypeAdapter
 
+from quadsim.dataset.figures import plot
 from quadsim.dataset.generation import generate
-from quadsim.dataset.reading import open_dataset
 from quadsim.flight.recipe import Recipe, load_recipe
-from quadsim.rotation import roll_pitch_from_quat
 from quadsim.trajectory.specs import Trajectory
 
 from ..stages import FLIGHTS, Inputs, Numbers
 
 DOMAINS = {"sim": "paper", "real": "paper-px4"}
 """Name of each domain and its recipe."""
-BINS = 100
 
 
 def fly(
@@ -32,21 +29,7 @@ def fly(
 
 
 def distributions(folder: Path, inputs: Inputs) -> Numbers:
-    """Histograms of the inputs and outputs of every domain (Fig. 3)."""
-    domains = {}
+    """Draw the inputs and outputs of every domain (Fig. 3)."""
     for stage, path in inputs.items():
-        data = open_dataset(path / FLIGHTS)
-        angles = np.degrees(roll_pitch_from_quat(data["quat"].to_numpy().astype(np.float64)))
-        columns = {
-            f"{name} {axis} [{unit}]": data[name].to_numpy()[..., k]
-            for name, unit in (("gyro", "rad/s"), ("accel", "m/s²"))
-            for k, axis in enumerate("xyz")
-        } | {"roll [°]": angles[..., 0], "pitch [°]": angles[..., 1]}
-        domains[stage.removeprefix("fly-")] = {name: _histogram(values) for name, values in columns.items()}
-    return domains
-
-
-def _histogram(values: np.ndarray) -> dict[str, Any]:
-    low, high = np.percentile(values, (0.1, 99.9))
-    density, edges = np.histogram(values, BINS, (low, high), density=True)
-    return {"edges": edges.tolist(), "density": density.tolist(), "sd": float(values.std(dtype=np.float64))}
+        plot(path / FLIGHTS, folder / f"{stage}.png")
+    return {}

@@ -38,10 +38,6 @@ def look(folder: Path, inputs: Inputs) -> Numbers:
     rng = np.random.default_rng(0)
     values = {"activity": rates, "random": [rng.random(rate.size) for rate in rates]}
     curves = {by: ablation(config, tensors, each, FRACTIONS, flights) for by, each in values.items()}
-    synapses = [
-        sum(int(np.prod(t[name].shape)) for name in ("w_in", "w_ff", "w_rec", "w_out"))
-        for _, t in ((config, tensors), left)
-    ]
     twin, _ = load_network(inputs[rnn] / WEIGHTS)
     spikes = float(rates[0].sum()), float(rates[1].sum())
     flops = snn_flops(config.encoding, config.hidden, spikes, config.n_outputs)
@@ -50,7 +46,6 @@ def look(folder: Path, inputs: Inputs) -> Numbers:
         "without_rare": {
             "error_deg": error_deg(*left, flights),
             "neurons": left[0].encoding + left[0].hidden,
-            "synapses": synapses,
         },
         "fractions": FRACTIONS,
         "ablation": {by: errors.tolist() for by, errors in curves.items()},

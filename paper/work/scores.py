@@ -27,13 +27,12 @@ from training.data import load_training_flights
 from ..stages import FLIGHTS, TUNING, WEIGHTS, Inputs, Numbers
 
 Array = NDArray[np.float64]
-Networks = Mapping[str, Sequence[str]]
-"""Label to model, stage whose weights it has ("": those that ship), and for these a digest."""
+Networks = Mapping[str, tuple[str, str]]
+"""Label to model and stage whose weights it has."""
 
 SIX = ("att-snn", "att-rnn", "madgwick", "mahony", "complementary", "ekf")
 """The methods of the paper's Table 2."""
 FILTERS = ("complementary", "complementary-adaptive", "mahony", "madgwick", "ekf")
-SHIPPED = {"att-rnn, shipped": "att-rnn", "att-snn, shipped": "att-snn-loihi"}
 TILT_DEG = 20.0
 CONVERGED_DEG = 2.0
 """Inclination error below which an estimator counts as converged."""
@@ -54,8 +53,8 @@ def estimators_of(
     """Filters as tuned by their stages, and networks."""
     tuned = {name: create(name, rate_hz, tuning=inputs[f"tune-{name}"] / TUNING) for name in filters}
     return tuned | {
-        label: create(model, rate_hz, weights=inputs[stage] / WEIGHTS if stage else None)
-        for label, (model, stage, *_) in networks.items()
+        label: create(model, rate_hz, weights=inputs[stage] / WEIGHTS)
+        for label, (model, stage) in networks.items()
     }
 
 
@@ -148,17 +147,13 @@ def response_of(error: Array) -> dict[str, object]:
 def compare(
     folder: Path, inputs: Inputs, *, flights: Sequence[str], rate_hz: float = RATE_HZ, **contenders: Any
 ) -> Numbers:
-    """Mean absolute error of each flight from an unknown start: for the pages on rate and minutes."""
-    recorded = {stage: flights_of(inputs, stage) for stage in flights}
-    errors = {
-        name: {
-            stage: attitude_error(
-                run(est, each.gyro, each.accel, roll_pitch=each.start, quat=each.quat), each.truth
-            ).sequences.tolist()
-            for stage, each in recorded.items()
-        }
-        for name, est in estimators_of(inputs, rate_hz=rate_hz, **contenders).items()
-    }
+    """Mean absolute error of each flight from an unknown start: for the claims on rate and minutes."""
+    (stage,) = flights
+    recorded = flights_of(inputs, stage)
+    errors = {}
+    for name, est in estimators_of(inputs, rate_hz=rate_hz, **contenders).items():
+        estimate = run(est, recorded.gyro, recorded.accel)
+        errors[name] = attitude_error(estimate, recorded.truth).sequences.tolist()
     return {"errors": errors}
 
 

@@ -203,7 +203,7 @@ def inside(after=2.0, neurons=150, gru=120000.0):
         "inside": {
             "rates": [[0.1] * 100, [0.1] * 100],
             "ablation": {"activity": [2.0, 2.5]},
-            "without_rare": {"error_deg": after, "neurons": neurons, "synapses": [20000, 11000]},
+            "without_rare": {"error_deg": after, "neurons": neurons},
             "flops": {"gru": gru, "dense": 40000.0, "sparse": 5000.0},
         }
     }
@@ -219,14 +219,14 @@ def responses(slow=(0.9, 0.2), fast=(0.2, 0.9)):
 
 def rates(*of_each):
     return {
-        f"compare-rate-{100 * 2**k}": {"errors": {"att-snn": {"x": [error, error + 0.1, error - 0.1]}}}
+        f"compare-rate-{100 * 2**k}": {"errors": {"att-snn": [error, error + 0.1, error - 0.1]}}
         for k, error in enumerate(of_each)
     }
 
 
 def minutes(*of_each):
     errors = dict(zip(("10", "30", "60"), of_each, strict=True))
-    found = {n: {"fly-test-sim": [error, error + 0.1]} for n, error in errors.items()}
+    found = {n: [error, error + 0.1] for n, error in errors.items()}
     return {"compare-minutes": {"errors": found}}
 
 
