@@ -87,8 +87,6 @@ class SearchResult:
     position: Array
     """(d,)."""
     cost: float
-    history: list[float]
-    """Lowest cost after each iteration."""
     evaluations: int
 
 
@@ -138,28 +136,25 @@ def swarm(
     x[0] = first
     v = rng.uniform(-FIRST_SPEED, FIRST_SPEED, x.shape)
     own, own_cost = x.copy(), np.full(particles, np.inf)
-    history: list[float] = []
     for iteration in range(iterations):
         inside = np.clip(x, 0.0, 1.0)
         now = cost(inside) + PENALTY * np.any(x != inside, axis=1)
         better = now < own_cost
         own[better], own_cost[better] = inside[better], now[better]
         best = own[np.argmin(own_cost)]
-        history.append(float(own_cost.min()))
         if progress is not None:
-            progress(iteration + 1, iterations, history[-1])
+            progress(iteration + 1, iterations, float(own_cost.min()))
         r1, r2 = rng.uniform(0.0, 1.0, (2, *x.shape))
         v = 0.8 * v + 0.15 * r1 * (own - x) + 0.05 * r2 * (best - x)
         x = x + v
-    return SearchResult(own[np.argmin(own_cost)], float(own_cost.min()), history, particles * iterations)
+    return SearchResult(own[np.argmin(own_cost)], float(own_cost.min()), particles * iterations)
 
 
 def evolution(
     cost: Cost, first: ArrayLike, search: SearchSettings, progress: Progress | None = None
 ) -> SearchResult:
     """The same by scipy's differential evolution: a check that the swarm is not in a local minimum."""
-    history: list[float] = []
-    evaluations = 0
+    evaluations = done = 0
 
     def counted(x: Array) -> Array:
         nonlocal evaluations
@@ -167,9 +162,10 @@ def evolution(
         return cost(np.clip(x.T, 0.0, 1.0))
 
     def report(intermediate_result: OptimizeResult) -> None:
-        history.append(float(intermediate_result.fun))
+        nonlocal done
+        done += 1
         if progress is not None:
-            progress(len(history), search.iterations, history[-1])
+            progress(done, search.iterations, float(intermediate_result.fun))
 
     result = differential_evolution(
         counted,
@@ -183,7 +179,7 @@ def evolution(
         updating="deferred",
         callback=report,
     )
-    return SearchResult(np.asarray(result.x), float(result.fun), history, evaluations)
+    return SearchResult(np.asarray(result.x), float(result.fun), evaluations)
 
 
 SEARCHES = {"swarm": swarm, "evolution": evolution}

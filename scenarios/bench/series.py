@@ -69,12 +69,6 @@ def pack_series(log: NDArray[np.void], rate_hz: float, signals: Mapping[str, Arr
     return FlightSeries(every / rate_hz, channels, known)
 
 
-def unpack_series(series: FlightSeries) -> dict[str, Array]:
-    """Every channel and signal of a flight, each (T,), NaN where missing, and its `time` [s]."""
-    found = {name: _unpack(channel) for name, channel in (series.channels | series.signals).items()}
-    return found | {"time": series.dt * np.arange(len(found["x"]), dtype=np.float64)}
-
-
 def compress_flights(flights: Iterable[FlightSeries]) -> str:
     """The integers of all channels of flights, one after the other, compressed without loss, in base64.
 
@@ -97,8 +91,3 @@ def pack_channel(values: Array, levels: int = LEVELS, step: float = 1e-9) -> Cha
     scale = float(f"{scale:.6g}")  # short in the page
     integers = np.where(finite, np.round(np.where(finite, values, 0.0) / scale), MISSING).astype("<i2")
     return Channel(scale, base64.b64encode(integers.tobytes()).decode())
-
-
-def _unpack(channel: Channel) -> Array:
-    integers = _integers(channel)
-    return np.where(integers == MISSING, np.nan, channel.scale * integers.astype(np.float64))

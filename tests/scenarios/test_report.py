@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from accessibility import findings
 from flown import benchmark, crash, flight
+from unpacked import unpack_series
 
 import estimators
 from estimators.appearance import look
@@ -20,7 +21,6 @@ from scenarios.bench.cell import Cell, FlightSettings, failed_cell, make_cell
 from scenarios.bench.experiment import load_experiment
 from scenarios.bench.flight_log import SHARED, fly
 from scenarios.bench.results import Results
-from scenarios.bench.series import unpack_series
 from scenarios.report.page import OfflineSection, page_flights, write_report
 
 OFFLINE = [
