@@ -1,5 +1,6 @@
 """The command line: what it says to a newcomer, to a mistake, and at the end of the work."""
 
+import re
 import sys
 from types import SimpleNamespace
 
@@ -215,6 +216,16 @@ def test_a_report_of_weights_shows_where_the_neurons_go(quadsim):
         assert heading in out
     config, _ = load_network("att-snn-paper")
     assert f"{config.encoding + config.hidden + config.n_outputs} neurons on 7 of a chip's 128 cores" in out
+
+
+def test_a_report_of_weights_on_flights_has_spikes_energy_and_error(quadsim):
+    quadsim("generate", "--flights", 1, "--duration", 2, "--workers", 1, "--out", "flights.zarr")
+    code, out, _ = quadsim("report", "att-snn-paper", "--data", "flights.zarr")
+    assert code == 0
+    for line in ("encoding layer", "synaptic event, a step", "modelled dynamic energy", "error"):
+        assert line in out
+    assert re.search(r"of a chip's 128 cores, error \d+\.\d\d°", out)
+    assert quadsim("report", "control-attitude", "--data", "flights.zarr")[0] == 2
 
 
 def test_a_verb_has_at_most_eight_options_beside_the_common_ones():
