@@ -3,7 +3,7 @@
 import importlib
 import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from quadsim.vehicle import Vehicle, load_vehicle
 from .circuit.file import is_circuit, load_circuit
 from .custom import declared, is_custom, own
 from .filters.parameter import Parameter, checked
-from .networks.weights_file import load_network, shipped_names
+from .networks.weights_file import END, load_network, shipped_controllers, shipped_names
 from .tuned import tuned_for
 
 
@@ -157,25 +157,49 @@ def tuning_misfit(
     return " and ".join(filter(None, others))
 
 
+def training_misfit(name: str, vehicle: str | Path | Vehicle) -> str:
+    """In words, the airframes that a network was trained on, where that which flies is none of them.
+
+    Empty where it is, or where the weights do not say; a name may be a controller's, too.
+
+    Args:
+        name: Of an estimator or a controller, as `create` and `create_controller` take it.
+        vehicle: The simulated vehicle, as in `create`.
+    """
+    network = name.removesuffix("-loihi")
+    ships = network in (*NETWORKS, *shipped_names(), *shipped_controllers())
+    if not ships and not network.endswith(END):
+        return ""
+    try:
+        config = load_circuit(network)[0] if is_circuit(network) else load_network(network)[0]
+        trained, (airframe, _) = config.training.get("vehicles"), loaded(vehicle, None)
+    except (OSError, ValueError):  # it cannot fly, which its flight reports
+        return ""
+    if not isinstance(trained, list) or not trained or airframe is None or airframe.name in trained:
+        return ""
+    return ", ".join(f"the {each}" for each in trained)
+
+
 def tuned_elsewhere(
-    tunings: Mapping[str, str | Path | None],
+    estimators: Iterable[str],
+    tuning: str | Path | None,
     vehicle: str | Path | Vehicle | None,
     imu: str | Path | ImuSpec | None,
 ) -> list[str]:
     """A sentence for each other vehicle or IMU that parameters were tuned for; none where that is not known.
 
     Args:
-        tunings: Estimators, and the tuning of each as in `create`.
+        estimators: Names of estimators.
+        tuning: As in `create`.
         vehicle: The simulated vehicle, as in `create`.
         imu: Its IMU, as in `create`.
     """
     found: dict[str, list[str]] = {}
     if vehicle is not None and imu is not None:
-        for name, tuning in tunings.items():
+        for name in estimators:
             if other := tuning_misfit(name, tuning, vehicle, imu):
                 found.setdefault(other, []).append(name)
-    how = "`quadsim tune` on flights of it gives others."
-    return [f"Tuned for {other}, not for what flew: {', '.join(who)}. {how}" for other, who in found.items()]
+    return [f"Tuned for {other}, not for what flew: {', '.join(who)}." for other, who in found.items()]
 
 
 def parameter_sets(params: Mapping[str, ArrayLike]) -> list[dict[str, float]]:

@@ -70,6 +70,9 @@ def evaluate(
     """
     if (data is None) == (not logs):
         raise ValueError("one of --data and --logs is required")
+    from scenarios.report.contenders import Contenders
+
+    contenders = Contenders(estimator, tuning, vehicle)
     if logs:
         import numpy as np
 
@@ -77,9 +80,7 @@ def evaluate(
 
         # of numbers that no sensor has, which are refused
         with alone(out), np.errstate(over="ignore", invalid="ignore"):
-            evaluate_logs(
-                logs, estimator or [], out, tuning, vehicle, within_deg=within, mount=mount, force=force
-            )
+            evaluate_logs(logs, contenders, out, within_deg=within, mount=mount, force=force)
         return
     if mount is not None:
         raise ValueError("--mount is of the IMU of --logs; a dataset is in body axes")
@@ -87,7 +88,7 @@ def evaluate(
     from scenarios.report.evaluation import evaluate_dataset
 
     with alone(out):
-        evaluate_dataset(data, estimator or [], out, tuning, vehicle, seed)
+        evaluate_dataset(data, contenders, out, seed=seed)
 
 
 def paper(

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from pydantic import TypeAdapter, ValidationError
 
-from estimators.registry import COPIES, tuned_elsewhere
+from estimators.registry import COPIES, training_misfit, tuning_misfit
 from quadsim.flight.scenario import Scenario
 from quadsim.runs.files import replace as replace_file
 from quadsim.runs.files import write_csv, write_whole
@@ -79,17 +79,28 @@ class Results:
 
     @property
     def warnings(self) -> list[str]:
-        """What was tuned for another vehicle or IMU, and faults that begin after the end."""
-        tunings = {name: tuning_of(name, self.settings.tuning) for name in map(estimator_of, self.estimators)}
+        """What was tuned or trained for another vehicle or IMU, and faults that begin after the end."""
+        tuned: dict[str, dict[str, None]] = {}
+        trained: dict[str, dict[str, None]] = {}
         flown_with = dict.fromkeys((each.vehicle, each.imu) for each in self.scenarios.values())
-        tuned = [line for pair in flown_with for line in tuned_elsewhere(tunings, *pair)]
+        for (vehicle, imu), name in product(flown_with, self.estimators):
+            estimator, airframe = estimator_of(name), Path(vehicle).stem
+            if other := tuning_misfit(estimator, tuning_of(name, self.settings.tuning), vehicle, imu):
+                text = f"Tuned for {other}, not for {airframe} with {Path(imu).stem}, which was simulated"
+                tuned.setdefault(text, {})[name] = None
+            for part in (estimator, controller_of(name)):
+                if other := training_misfit(part, vehicle):
+                    text = f"Trained on {other}, not on the {airframe}, which was simulated"
+                    trained.setdefault(text, {})[part] = None
+        how = " `quadsim tune` on flights of it, then --set tuning=FILE."
         late = [
             f"{name} ends at {scenario.duration_s:g} s, before its fault {fault.kind} at {start:g} s"
             for name, scenario in self.scenarios.items()
             for fault in scenario.faults
             if (start := getattr(fault, "at_s", 0.0)) >= scenario.duration_s
         ]
-        return [*dict.fromkeys(tuned), *late]
+        lines = [f"{text}: {', '.join(who)}.{how}" for text, who in tuned.items()]
+        return [*lines, *(f"{text}: {', '.join(who)}." for text, who in trained.items()), *late]
 
     @property
     def partial(self) -> str:

@@ -4,7 +4,6 @@ import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from estimators.evaluation.comparison import made_of
 from estimators.evaluation.logs import (
     KNOWN,
     NO_ATTITUDE,
@@ -19,16 +18,17 @@ from quadsim.logs import read_log, refused
 from quadsim.logs.log_report import UNSCORED
 from quadsim.runs.console import print_table, progress_bar, say
 
+from ..report.contenders import Contenders
 from .page import write_log_report
 from .verdict import log_verdict
 
 
-def tuning_of(tuning: str | None, vehicle: str | None) -> str:
+def tuning_of(contenders: Contenders) -> str:
     """Which parameters filters have, in a sentence."""
-    if tuning is not None:
-        return f"Filters have the parameters of {tuning}."
-    if vehicle is not None:
-        own = f"for {vehicle}, or else for {DEFAULT_DOMAIN}"
+    if contenders.tuning is not None:
+        return f"Filters have the parameters of {contenders.tuning}."
+    if contenders.vehicle is not None:
+        own = f"for {contenders.vehicle}, or else for {DEFAULT_DOMAIN}"
         return f"Filters have the parameters {own}; imm has one set for all vehicles."
     text = f"Filters have the parameters tuned on {DEFAULT_DOMAIN}, imm one set for all vehicles; "
     return text + "--vehicle and --tuning give others."
@@ -36,10 +36,8 @@ def tuning_of(tuning: str | None, vehicle: str | None) -> str:
 
 def evaluate_logs(
     paths: Sequence[Path],
-    names: Sequence[str],
+    contenders: Contenders,
     out: Path,
-    tuning: str | None = None,
-    vehicle: str | None = None,
     *,
     within_deg: float = 45.0,
     mount: str | None = None,
@@ -49,10 +47,8 @@ def evaluate_logs(
 
     Args:
         paths: The logs.
-        names: The estimators; all that can be made if empty.
+        contenders: The estimators.
         out: Folder for the table and the page.
-        tuning: As of `estimators.create`.
-        vehicle: The same.
         within_deg: Largest true inclination that is scored [deg].
         mount: Rotation from IMU to body axes, as `quadsim.logs.recording.mount_matrix` takes it.
         force: Score a log although a unit or frame cannot be right.
@@ -80,11 +76,10 @@ def evaluate_logs(
     for warning in warnings:
         say(f"warning: {warning}", "yellow")
     logs = [read[path] for path in used]
-    rate_hz = float(logs[0].attrs["rate_hz"])
-    made = made_of(names or default_names(vehicle is not None), rate_hz, tuning, vehicle)
+    made = contenders.create(default_names(contenders.vehicle is not None), float(logs[0].attrs["rate_hz"]))
     with progress_bar("evaluate", "runs") as bar:
         scores = score_logs(logs, made, within_deg=within_deg, progress=bar)
-    scores.tuning = tuning_of(tuning, vehicle)
+    scores.tuning = tuning_of(contenders)
     scores.write_csv(out / "logs.csv")
     judged = log_verdict(scores)
     page = write_log_report(out / "report.html", scores, warnings)

@@ -299,6 +299,19 @@ def test_console_and_report_have_the_tracking_error_beside_that_of_the_estimate(
         assert columns[heading] == [standing.texts[heading] for standing in judged.standings]
 
 
+def test_a_network_on_an_airframe_that_it_was_not_trained_on_is_warned_of():
+    scenarios = {"a": Scenario(description="", vehicle="crazyflie")}
+    names = ("att-snn", "att-snn-paper", "truth @ control-attitude", "truth @ control-attitude-loihi")
+    results = benchmark({name: {"a": [1.0]} for name in names}, scenarios=scenarios)
+    trained = [line for line in results.warnings if line.startswith("Trained")]
+    assert trained == [
+        "Trained on the hummingbird, not on the crazyflie, which was simulated: att-snn-paper, "
+        "control-attitude, control-attitude-loihi."
+    ]
+    at_home = replace(results, scenarios={"a": Scenario(description="")})
+    assert [line for line in at_home.warnings if line.startswith("Trained")] == []
+
+
 def test_the_recommendation_is_read_back_as_it_was_written(monkeypatch, tmp_path):
     monkeypatch.setattr("scenarios.bench.recommendation.FILE", tmp_path / FILE.name)
     found = Recommendation(release="9.9", command="quadsim bench", date="2031-01-01", sentence="Fly “x”.")
