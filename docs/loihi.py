@@ -13,8 +13,8 @@ from estimators.analysis.latency import contenders, measure
 from estimators.evaluation.flights import Flights, load_flights
 from estimators.loihi.chip import LIMITS
 from estimators.networks.decay_profiles import share_profiles
-from estimators.networks.network import silenced
 from estimators.networks.forward import OnLoihi
+from estimators.networks.network import silenced
 from estimators.networks.weights_file import NetworkConfig, Tensors, load_network
 
 NAME = "att-snn-paper"

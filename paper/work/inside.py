@@ -9,8 +9,8 @@ from estimators.analysis.ablation import ablation, error_deg, without
 from estimators.analysis.activity import record
 from estimators.analysis.energy import costs, counts, gru_flops, snn_flops
 from estimators.analysis.manipulation import responses
-from estimators.networks.network import NetworkEstimator, Spiking
 from estimators.networks.forward import OnLoihi
+from estimators.networks.network import NetworkEstimator, Spiking
 from estimators.networks.weights_file import load_network
 from quadsim.dataset.reading import open_dataset
 
