@@ -15,6 +15,7 @@ from estimators.networks.on_chip import OnLoihi
 from estimators.networks.weights_file import EXPONENTS, load_network
 from quadsim.dataset.generation import generate
 from quadsim.flight.recipe import load_recipe
+from quadsim.runs.fingerprint import code_digest
 from quadsim.runs.record import commit
 from training import loop
 from training.config import make_config
@@ -95,6 +96,7 @@ def test_the_folder_of_another_run_is_refused_in_one_line(dataset, tmp_path):
     choices = {"data": dataset, "out": tmp_path, "epochs": 1}
     choices |= {"batches": 1, "batch_size": 1, "window_s": 0.1}
     train(**choices)
+    assert json.loads((tmp_path / "contents.json").read_text())["code"] == code_digest("training.loop")
     for file, change, message in (
         ("config.json", {"of_before": 1.0}, "a run of another version of quadsim, choose another folder$"),
         ("config.json", {"epochs": 9}, "a run with another configuration, choose another folder$"),
