@@ -123,6 +123,12 @@ def test_what_a_run_reads_has_digests_of_its_own(dataset, tmp_path):
         train(data=dataset, validation=slow, out=tmp_path / "run", **TINY)
 
 
+def test_files_that_are_not_there_are_named(dataset, tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"none\.zarr"):
+        train(data=tmp_path / "none.zarr", out=tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
 def test_a_checkpoint_of_another_version_is_refused_in_one_line(dataset, tmp_path):
     choices = TINY | {"data": dataset, "out": tmp_path, "epochs": 1}
     train(**choices)
