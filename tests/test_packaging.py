@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from quadsim.runs.compiled import store
+from quadsim.runs.compiled import BESIDE, Place, store
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("quadsim", "estimators", "training", "scenarios", "paper", "assets")
@@ -48,6 +48,15 @@ def fill_with_shadows(work, regular):
     heavy = vehicle.replace("mass = 0.716", "mass = 0.9")
     assert heavy != vehicle
     (work / "assets" / "vehicles" / "hummingbird.toml").write_text(heavy)
+
+
+def copy_compiled(code):
+    """Fill an installation's folder for compiled code with ours: what was copied is not compiled again."""
+    for inside in {file.parent for package in PACKAGES for file in (ROOT / package).rglob("*.py")}:
+        name = "-".join(inside.relative_to(ROOT).parts)
+        ours = name if store() == BESIDE else Place.get_suitable_cache_subpath(str(inside / "any.py"))
+        if (store() / ours).is_dir():
+            shutil.copytree(store() / ours, code / name)
 
 
 def run(command, folder, **variables):
@@ -88,13 +97,12 @@ def test_an_installed_wheel_flies_beside_folders_of_the_user_with_its_packages_n
     zipfile.ZipFile(wheel).extractall(site)
     fill_with_shadows(work, regular=True)
     (work / "scenarios" / "mine.toml").write_text(SCENARIO)
-    code = site / "quadsim" / "runs" / "__pycache__"  # an installation that was copied compiles nothing again
-    if (own := store()) == ROOT / code.relative_to(site):
-        shutil.copytree(own, code)
+    copy_compiled(code := site / BESIDE.relative_to(ROOT))
+    variables = {"PYTHONPATH": str(site), "NUMBA_CACHE_DIR": str(code)}
     fly = "fly scenarios/mine.toml --estimator truth --out mine"
     for flags in ([], ["-P"]):  # with the folder itself on Python's path, and without
         commands = ["list scenarios", *[fly] * (flags == ["-P"])]
-        done = run([sys.executable, *flags, "-c", COMMANDS, *commands], work, PYTHONPATH=str(site))
+        done = run([sys.executable, *flags, "-c", COMMANDS, *commands], work, **variables)
         assert str(site) in done
         assert "scenarios/mine.toml" in done
     assert "0 of 1 crashed" in done

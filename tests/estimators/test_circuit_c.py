@@ -1,10 +1,8 @@
 """The circuit's export in C99 against the one that flies: every integer and every output."""
 
-import shutil
-import subprocess
-
 import numpy as np
 import pytest
+from c_export import built
 
 from estimators.circuit.estimator import circuit_estimator
 from estimators.circuit.file import CircuitConfig, save_circuit
@@ -54,28 +52,14 @@ def c_state(vectors, gates):
 
 
 @pytest.fixture
-def compiled(tmp_path, request):
-    """Compile an export, strictly: a function from samples (T, 6) to an array of states and outputs."""
-    if shutil.which("cc") is None:
-        pytest.skip("no C compiler")
-    driver = request.path.parents[1] / "data" / "loihi" / "driver.c"
+def compiled(tmp_path):
+    """Compile an export: a function from samples (T, 6) to an array of states and outputs."""
 
     def build(p, steps):
         config = CircuitConfig(vectors=VECTORS, gates=GATES, steps_per_sample=steps)
         save_circuit(tmp_path / "circuit.safetensors", config, p)
         source = export_weights(tmp_path / "circuit.safetensors", tmp_path / "c", "c99")
-        flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2", f"-I{source}"]
-        command = ["cc", *flags, source / "att_snn.c", driver, "-o", tmp_path / "run"]
-        subprocess.run([str(part) for part in command], check=True)
-        layout = np.dtype([("state", c_state(VECTORS, GATES)), ("up", float, 3)])
-
-        def run(samples):
-            done = subprocess.run(
-                [tmp_path / "run"], input=samples.tobytes(), capture_output=True, check=True
-            )
-            return np.frombuffer(done.stdout, layout)
-
-        return run
+        return built(source, "att_snn", np.dtype([("state", c_state(VECTORS, GATES)), ("up", float, 3)]))
 
     return build
 

@@ -379,13 +379,7 @@ def test_readings_that_no_sensor_gives_count_as_missing(flights, name):
     np.testing.assert_array_equal(run(make(name), gyro, accel), run(make(name), *missing))
 
 
-# --- truth, and mistakes ----------------------------------------------------------------------------
-
-
-def test_truth_has_no_error(flights):
-    gyro, accel, quat = arrays(flights)
-    out = run(create("truth"), gyro, accel, quat=quat)
-    np.testing.assert_array_equal(out, roll_pitch_from_quat(quat))
+# --- mistakes ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

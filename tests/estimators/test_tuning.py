@@ -3,10 +3,10 @@
 import json
 import math
 from concurrent.futures import ThreadPoolExecutor
-from textwrap import dedent
 
 import numpy as np
 import pytest
+from own_estimator import MINE
 
 from estimators import create, parameters, run_batch
 from estimators.evaluation.flights import load_flights
@@ -246,42 +246,19 @@ def test_estimators_without_parameters_and_broken_datasets_are_named(flights):
         tune("mahony", [flights, flights.isel(time=slice(100))])
 
 
-OWN = dedent(
-    """
-    import numpy as np
-    from estimators import Parameter
+OWN = f"""{MINE}
+class Sometimes(Mine):
+    def spoiled(self, angle):
+        return np.full_like(angle, 1e20) if self.gain < 0.02 else 0 * angle if self.gain < 0.1 else angle
 
-    class Mine:
-        parameters = {"gain": Parameter(0.02, 0.001, 0.5)}
+class Never(Mine):
+    def spoiled(self, angle):
+        return angle * np.nan
 
-        def __init__(self, rate_hz, gain=0.02):
-            self.rate_hz, self.gain = rate_hz, gain
-
-        def reset(self, n=1, roll_pitch=None):
-            self.angle = np.zeros((n, 2))
-
-        def update(self, gyro, accel):
-            x, y, z = accel.T
-            tilt = np.column_stack([np.arctan2(y, z), np.arctan2(-x, z)])
-            self.angle = (1 - self.gain) * (self.angle + gyro[:, :2] / self.rate_hz) + self.gain * tilt
-            return self.spoiled(self.angle)
-
-        def spoiled(self, angle):
-            return angle
-
-    class Sometimes(Mine):
-        def spoiled(self, angle):
-            return np.full_like(angle, 1e20) if self.gain < 0.02 else 0 * angle if self.gain < 0.1 else angle
-
-    class Never(Mine):
-        def spoiled(self, angle):
-            return angle * np.nan
-
-    class Peeks(Mine):
-        def observe(self, quat):
-            pass
-    """
-)
+class Peeks(Mine):
+    def observe(self, quat):
+        pass
+"""
 
 
 @pytest.fixture

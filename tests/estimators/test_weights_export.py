@@ -1,12 +1,11 @@
 """Exported networks against the ones that fly, run by a C compiler, Norse, snnTorch and ONNX Runtime."""
 
 import importlib
-import shutil
-import subprocess
 
 import numpy as np
 import pytest
 import torch
+from c_export import built
 from controllers import CONFIG, random_snn
 from plain_network import forward
 
@@ -52,28 +51,14 @@ def state_of(config):
 
 
 @pytest.fixture
-def compiled(tmp_path, request):
-    """Compile the export of a network, strictly: a function from samples (T, ·) to an array of states."""
-    if shutil.which("cc") is None:
-        pytest.skip("no C compiler")
+def compiled(tmp_path):
+    """Compile the export of a network: a function from samples (T, ·) to an array of states and outputs."""
 
     def build(weights, config):
-        export_weights(weights, tmp_path / "c", "c99")
-        driver = request.path.parents[1] / "data" / "loihi" / "driver.c"
+        source = export_weights(weights, tmp_path / "c", "c99")
         name, outputs = ("snn_control", 4) if config.controls else ("att_snn", config.n_outputs)
-        flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2", f"-I{tmp_path / 'c'}"]
-        flags += ["-DCONTROLLER"] * config.controls
-        sources = [str(tmp_path / "c" / f"{name}.c"), str(driver)]
-        subprocess.run(["cc", *flags, *sources, "-o", str(tmp_path / "run")], check=True)
         layout = np.dtype([("state", state_of(config)), ("outputs", float, outputs)])
-
-        def run(samples):
-            done = subprocess.run(
-                [tmp_path / "run"], input=samples.tobytes(), capture_output=True, check=True
-            )
-            return np.frombuffer(done.stdout, layout)
-
-        return run
+        return built(source, name, layout, *["-DCONTROLLER"] * config.controls)
 
     return build
 

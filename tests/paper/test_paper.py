@@ -31,9 +31,10 @@ from quadsim.held_out import load_held_out
 from quadsim.runs.fingerprint import ROOT, closure
 
 SHORT = dict(epochs=2, batches=1, batch_size=2, window_s=0.5)
+SHORTER = SHORT | {"epochs": 1}
 TINY = sizes_of("quick") | dict(
-    sim_flights=4,
-    real_flights=4,
+    sim_flights=3,
+    real_flights=3,
     flight_s=6.0,
     test_flights=2,
     test_s=6.0,
@@ -41,14 +42,14 @@ TINY = sizes_of("quick") | dict(
     particles=2,
     iterations=1,
     snn=SHORT,
-    rnn=SHORT,
-    fold=SHORT,
+    rnn=SHORTER,
+    fold=SHORTER,
     rates_hz=(100.0,),
     rate_flights=3,
-    rate=SHORT,
+    rate=SHORTER,
     minutes=(1,),
     minutes_validation=1,
-    study=SHORT,
+    study=SHORTER,
     latency_rounds=1,
     loop_seeds=1,
     loop_s=2.0,

@@ -298,11 +298,12 @@ def test_ctrl_c_exits_as_interrupted_also_where_a_training_ends_in_order(quadsim
     assert "best.safetensors" in out
 
 
-def test_what_is_refused_before_any_work_leaves_one_line_and_no_bar(quadsim):
+def test_what_is_refused_before_any_work_leaves_one_line_and_no_bar_nor_folder(quadsim, tmp_path):
     code, out, err = quadsim("train", "--model", "att-snn", "--data", "nowhere", "--out", "run")
     assert (code, out) == (2, "")
     assert err.strip().startswith("quadsim: nowhere")
     assert len(err.strip().splitlines()) == 1
+    assert not (tmp_path / "run").exists()
 
 
 def test_a_fault_after_the_end_of_the_flight_is_warned_of(quadsim):

@@ -2,46 +2,23 @@
 
 import importlib
 import sys
-from textwrap import dedent
 
 import numpy as np
 import pytest
+from own_estimator import MINE
 
 import estimators
 from quadsim import own as own_code
 from quadsim.own import load_own, own_files
 
-SOURCE = dedent(
-    """
-    import numpy as np
-    from estimators import Parameter
-    import neighbour_of_mine
-
-    class Mine:
-        parameters = {"gain": Parameter(0.02, 0.001, 0.5)}
-
-        def __init__(self, rate_hz, gain=0.02):
-            self.rate_hz, self.gain = rate_hz, gain
-
-        def reset(self, n=1, roll_pitch=None):
-            self.angle = np.zeros((n, 2)) if roll_pitch is None else np.array(roll_pitch, float)
-
-        def update(self, gyro, accel):
-            x, y, z = accel.T
-            tilt = np.column_stack([np.arctan2(y, z), np.arctan2(-x, z)])
-            self.angle = (1 - self.gain) * (self.angle + gyro[:, :2] / self.rate_hz) + self.gain * tilt
-            return self.angle
-
-        class Inner:
-            pass
-
-    class Fails(Mine):
-        def update(self, gyro, accel):
-            if gyro.any():
-                raise RuntimeError("no more")
-            return super().update(gyro, accel)
-    """
-)
+SOURCE = f"""import neighbour_of_mine
+{MINE}
+class Fails(Mine):
+    def update(self, gyro, accel):
+        if gyro.any():
+            raise RuntimeError("no more")
+        return super().update(gyro, accel)
+"""
 
 
 @pytest.fixture

@@ -1,7 +1,5 @@
 import csv
 import json
-import subprocess
-import sys
 from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
 from dataclasses import fields, replace
 from importlib.resources import files
@@ -11,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from processes import alive, await_true, children, square
+from processes import square
 from rich.console import Console
 
 import estimators
@@ -227,24 +225,6 @@ def test_interrupted_run_goes_on_with_what_is_missing(tmp_path, monkeypatch, flo
     assert small(tmp_path / "part") == whole
     assert flown[-2:] == [("wind-gust", "truth"), ("wind-gust", "mahony")]
     assert len(flown) == 3
-
-
-def test_a_killed_run_leaves_no_process_behind(tmp_path):
-    script = """
-import sys
-from scenarios.bench.runner import bench
-from scenarios.bench.cell import FlightSettings
-
-names = ["hover", "wind-2", "wind-5", "wind-8"]
-bench(names, ["truth", "mahony"], sys.argv[1], FlightSettings(2), workers=2)
-"""
-    run = subprocess.Popen([sys.executable, "-c", script, str(tmp_path)], cwd=Path(__file__).parents[2])
-    await_true(lambda: len(list(tmp_path.glob("cells/*.json"))) >= 1, seconds=300)  # workers compile first
-    workers = children(run.pid)
-    run.kill()
-    run.wait()
-    assert len(workers) >= 2
-    await_true(lambda: not any(alive(pid) for pid in workers))
 
 
 def test_cells_of_another_configuration_or_code_are_flown_anew(tmp_path, monkeypatch, flown):

@@ -15,6 +15,7 @@ from estimators.networks.network import NetworkEstimator, create_network
 from estimators.networks.weights_file import EXPONENTS, load_network
 from quadsim.dataset.generation import generate
 from quadsim.flight.recipe import load_recipe
+from quadsim.runs.fingerprint import code_digest
 from quadsim.runs.record import commit
 from training import loop
 from training.config import make_config
@@ -91,28 +92,24 @@ def test_a_neuron_has_the_finest_exponent_that_holds_its_weights(dataset, tmp_pa
         assert tensors[exponents].min() < 0
 
 
-@pytest.mark.parametrize(
-    ("file", "change", "message"),
-    [
-        (
-            "config.json",
-            {"of_before": 1.0},
-            "holds a run of another version of quadsim, choose another folder$",
-        ),
-        ("config.json", {"epochs": 9}, "holds a run with another configuration, choose another folder$"),
-        ("contents.json", {"data": "of others"}, r"holds a run on other files \(data changed\)"),
-        ("contents.json", {"code": "of others"}, r"holds a run on other files \(code changed\)"),
-    ],
-)
-def test_the_folder_of_another_run_is_refused_in_one_line(dataset, tmp_path, file, change, message):
+def test_the_folder_of_another_run_is_refused_in_one_line(dataset, tmp_path):
     choices = {"data": dataset, "out": tmp_path, "epochs": 1}
     choices |= {"batches": 1, "batch_size": 1, "window_s": 0.1}
     train(**choices)
-    before = json.loads((tmp_path / file).read_text())
-    assert change.keys() - before.keys() <= {"of_before"}
-    (tmp_path / file).write_text(json.dumps(before | change))
-    with pytest.raises(ValueError, match=message):
-        train(**choices)
+    assert json.loads((tmp_path / "contents.json").read_text())["code"] == code_digest("training.loop")
+    for file, change, message in (
+        ("config.json", {"of_before": 1.0}, "a run of another version of quadsim, choose another folder$"),
+        ("config.json", {"epochs": 9}, "a run with another configuration, choose another folder$"),
+        ("contents.json", {"data": "of others"}, r"a run on other files \(data changed\)"),
+        ("contents.json", {"code": "of others"}, r"a run on other files \(code changed\)"),
+    ):
+        before = (tmp_path / file).read_text()
+        written = json.loads(before)
+        assert change.keys() - written.keys() <= {"of_before"}
+        (tmp_path / file).write_text(json.dumps(written | change))
+        with pytest.raises(ValueError, match=f"holds {message}"):
+            train(**choices)
+        (tmp_path / file).write_text(before)
 
 
 def test_what_a_run_reads_has_digests_of_its_own(dataset, tmp_path):
