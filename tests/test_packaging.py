@@ -181,5 +181,5 @@ def test_without_pytorch_all_but_training_runs_and_training_names_the_extra(tmp_
         text=True,
     )
     assert done.returncode == 2
-    assert done.stderr.endswith('quadsim: training needs PyTorch: pip install "quadsim[train]"\n')
+    assert done.stderr.endswith('quadsim: this needs the package torch: pip install "quadsim[train]"\n')
     assert all((tmp_path / name).exists() for name in ("scores", "flight"))

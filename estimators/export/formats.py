@@ -34,17 +34,12 @@ def export_weights(weights: str | Path, out: str | Path, format: str) -> Path:
             f"{known}weights of {config.model} are exported as {' or '.join(HOLD[config.model])}"
         )
     out = _free(out)
-    try:
-        if format == "nir":
-            from .nir_graph import write_nir as write
-        elif format == "onnx":
-            from .onnx_graph import write_onnx as write
-        else:
-            from .c_source import write_c as write
-    except ImportError as error:
-        raise ValueError(
-            f'this export needs the package {error.name}: pip install "quadsim[export]"'
-        ) from error
+    if format == "nir":
+        from .nir_graph import write_nir as write
+    elif format == "onnx":
+        from .onnx_graph import write_onnx as write
+    else:
+        from .c_source import write_c as write
     write(out, config, tensors)
     return out
 

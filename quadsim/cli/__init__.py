@@ -57,6 +57,19 @@ def _options(
 ) -> None: ...
 
 
+EXTRAS = {
+    "distributed": "cluster",
+    "h5netcdf": "export",
+    "h5py": "logs",
+    "nir": "export",
+    "onnx": "export",
+    "pyulog": "logs",
+    "rosbags": "logs",
+    "torch": "train",
+}
+"""Packages that not every installation has, and the extra that brings each."""
+
+
 def main() -> None:
     """Run the command line. A user's mistake prints a message of one line and exits with code 2."""
     for stream in (sys.stdout, sys.stderr):
@@ -72,9 +85,10 @@ def main() -> None:
         if isinstance(error, OSError) and error.filename and error.strerror:
             message = f"{error.filename}: {error.strerror.lower()}"
         if isinstance(error, ModuleNotFoundError):
-            if error.name != "torch":
+            package = (error.name or "").split(".")[0]
+            if package not in EXTRAS:
                 raise
-            message = 'training needs PyTorch: pip install "quadsim[train]"'
+            message = f'this needs the package {package}: pip install "quadsim[{EXTRAS[package]}]"'
         Console(stderr=True, emoji=False).print(
             f"quadsim: {' '.join(message.split())}", style="red", markup=False, soft_wrap=True
         )

@@ -4,13 +4,11 @@ Only the samples before a flight's end are exported, except to NetCDF, which hol
 counts from the start of each flight. What no log of a recorded dataset holds is NaN.
 """
 
-import importlib
 import json
 import sqlite3
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -58,7 +56,8 @@ def export(
         The path written.
 
     Raises:
-        ValueError: Unknown format, `out` exists, a package is missing, or the dataset is not one.
+        ValueError: Unknown format, `out` exists, or the dataset is not one.
+        ModuleNotFoundError: A package of the extra "export" is missing.
         OSError: `out` cannot be written.
     """
     if format not in FORMATS:
@@ -85,7 +84,6 @@ def timestamps(steps: int, rate_hz: float) -> NDArray[np.int64]:
 
 
 def _netcdf(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
-    _needs("h5netcdf")
     encoding = {
         name: {"zlib": True, "complevel": 1, "shuffle": True, "chunksizes": (1, *dataset[name].shape[1:])}
         for name in VARIABLES
@@ -96,7 +94,9 @@ def _netcdf(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
 
 def _parquet(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
     """One row per sample and one row group per flight; units are in the metadata of each column."""
-    arrow, parquet = _needs("pyarrow"), _needs("pyarrow.parquet")
+    import pyarrow as arrow
+    from pyarrow import parquet
+
     fields = [
         arrow.field("flight", arrow.int32()),
         arrow.field("time", arrow.float64(), metadata={"units": "s"}),
@@ -171,8 +171,10 @@ def _imu_yaml(imu: ImuSpec | None, rate_hz: float) -> str:
 
 def _rosbag2(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
     """A bag per flight: `/imu` (sensor_msgs/Imu, in the frame `imu`) and `/pose`, the truth in `world`."""
-    bags, typesys = _needs("rosbags.rosbag2"), _needs("rosbags.typesys")
-    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    from rosbags.rosbag2 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
     message = store.types
     vector, point = message["geometry_msgs/msg/Vector3"], message["geometry_msgs/msg/Point"]
     quaternion, pose = message["geometry_msgs/msg/Quaternion"], message["geometry_msgs/msg/Pose"]
@@ -192,7 +194,7 @@ def _rosbag2(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
         gyro, accel, position, quat = (
             one[name].to_numpy().astype(float).tolist() for name in ("gyro", "accel", "position", "quat")
         )
-        with bags.Writer(out / f"flight_{flight:03d}", version=9) as bag:
+        with Writer(out / f"flight_{flight:03d}", version=9) as bag:
             imus = bag.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=store)
             poses = bag.add_connection("/pose", "geometry_msgs/msg/PoseStamped", typestore=store)
             for k, time in enumerate(timestamps(one.sizes["time"], rate_hz).tolist()):
@@ -224,14 +226,6 @@ def _imu_of(dataset: xr.Dataset) -> ImuSpec | None:
         raise ValueError(
             f"the IMU of this dataset is from another version: {describe(error, ImuSpec)}"
         ) from error
-
-
-def _needs(package: str) -> ModuleType:
-    try:
-        return importlib.import_module(package)
-    except ImportError as error:
-        name = package.split(".")[0]
-        raise ValueError(f'this export needs the package {name}: pip install "quadsim[export]"') from error
 
 
 FORMATS: dict[str, Callable[[xr.Dataset, Path, Progress], None]] = {

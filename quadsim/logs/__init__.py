@@ -94,6 +94,8 @@ def read_recording(
         raise FileNotFoundError(f"{path}: no such log")
     try:
         log = _read(path, truth, imu)
+    except ModuleNotFoundError:  # of an extra
+        raise
     except Exception as error:  # each library has errors of its own for a damaged file
         if isinstance(error, ValueError | OSError) and str(path) in str(error):
             raise

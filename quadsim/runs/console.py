@@ -96,10 +96,8 @@ def pool_of(workers: str | None) -> Iterator[tuple[int | None, Executor | None]]
             raise ValueError(f"--workers {workers}: a number of processes or the address of a Dask scheduler")
         yield None if workers is None else int(workers), None
         return
-    try:
-        from distributed import Client
-    except ImportError:
-        raise ValueError("a cluster needs Dask: pip install 'quadsim[cluster]'") from None
+    from distributed import Client
+
     for name in ("distributed", *logging.root.manager.loggerDict):
         if name.startswith("distributed"):  # a lost cluster is one line, ours
             logging.getLogger(name).setLevel(logging.CRITICAL)

@@ -310,3 +310,30 @@ def test_a_fault_after_the_end_of_the_flight_is_warned_of(quadsim):
     code, out, err = quadsim("fly", "gyro-bias-step", "--estimator", "mahony", "--duration", 0.5)
     assert code == 0
     assert "gyro-bias-step ends at 0.5 s, before its fault gyro-bias-step at 6 s" in (out + err)
+
+
+@pytest.mark.parametrize(
+    ("module", "package", "extra", "command"),
+    [
+        (
+            "rosbags.rosbag2",
+            "rosbags",
+            "logs",
+            ["export", "flights.zarr", "--format", "rosbag2", "--out", "x"],
+        ),
+        ("nir", "nir", "export", "export att-snn-paper --format nir --out x"),
+        ("pyulog", "pyulog", "logs", "report x.ulg"),
+    ],
+)
+def test_a_missing_package_is_one_line_with_its_extra(
+    quadsim, dataset, tmp_path, monkeypatch, module, package, extra, command
+):
+    (tmp_path / "x.ulg").touch()
+    monkeypatch.delitem(sys.modules, "estimators.export.nir_graph", raising=False)
+    monkeypatch.setitem(sys.modules, module, None)
+    code, _, err = quadsim(*command.split())
+    assert code == 2
+    assert err.strip().splitlines()[-1] == (
+        f'quadsim: this needs the package {package}: pip install "quadsim[{extra}]"'
+    )
+    assert not (tmp_path / "x").exists()

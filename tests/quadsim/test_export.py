@@ -1,6 +1,5 @@
 import json
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -193,20 +192,6 @@ def test_nothing_is_overwritten(source, tmp_path):
     with pytest.raises(ValueError, match="exists already"):
         export(source, tmp_path / "thesis", "csv")
     assert (tmp_path / "thesis").read_text() == "chapter 1"
-
-
-@pytest.mark.parametrize(
-    ("format", "module"), [("netcdf", "h5netcdf"), ("parquet", "pyarrow"), ("rosbag2", "rosbags.rosbag2")]
-)
-def test_a_missing_package_is_one_clear_line_and_leaves_nothing(
-    source, tmp_path, monkeypatch, format, module
-):
-    monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(
-        ValueError, match=rf'needs the package {module.split(".")[0]}: pip install "quadsim\[export\]"'
-    ):
-        export(source, tmp_path / "x", format)
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_path_that_cannot_be_written_is_one_clear_line(source, tmp_path):

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..recording import Array, Recording
-from . import needed
 
 RATE_HZ = 2000.0 / 7.0
 """Sample rate of the benchmark, where a file does not say."""
@@ -44,7 +43,8 @@ def _rows(values: ArrayLike | None, width: int) -> Array:
 
 
 def _hdf5(path: Path) -> Mapping[str, ArrayLike]:
-    h5py = needed("h5py", "logs")
+    import h5py
+
     with h5py.File(path) as file:
         arrays = {name: file[name][()] for name in file if isinstance(file[name], h5py.Dataset)}
         return {**{name: file.attrs[name] for name in file.attrs}, **arrays}

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from ..recording import OWN_ESTIMATE, Recording
-from . import needed
 
 IMU = "sensor_msgs/msg/Imu"
 POSES = {
@@ -27,13 +26,14 @@ def read_rosbag(path: Path, imu: str | None = None, truth: str | None = None) ->
         truth: Topic of the true attitude; None for the first kind of POSES that is there, and failing that
             the orientation in the IMU's own messages.
     """
-    highlevel = needed("rosbags.highlevel", "logs")
-    stores = needed("rosbags.typesys", "logs")
-    default = stores.get_typestore(stores.Stores.ROS2_HUMBLE)
+    from rosbags.highlevel import AnyReader, AnyReaderError
+    from rosbags.typesys import Stores, get_typestore
+
+    default = get_typestore(Stores.ROS2_HUMBLE)
     in_folder = path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").is_file()
     readings, poses, own = [], [], []
     try:
-        with highlevel.AnyReader([path.parent if in_folder else path], default_typestore=default) as reader:
+        with AnyReader([path.parent if in_folder else path], default_typestore=default) as reader:
             imu_topic = _topic(reader, path, imu, [IMU])
             if imu_topic is None:
                 raise ValueError(f"{path}: no topic of {IMU}; topics: {_all_topics(reader)}")
@@ -49,7 +49,7 @@ def read_rosbag(path: Path, imu: str | None = None, truth: str | None = None) ->
                 q = message.orientation
                 if message.orientation_covariance[0] != -1.0 and abs(q.w) + sum(map(abs, _xyz(q))) > 0.5:
                     own.append((stamp, q.w, *_xyz(q)))
-    except highlevel.AnyReaderError as error:
+    except AnyReaderError as error:
         raise ValueError(f"{path}: {error}") from error
     time, gyro, accel = _columns(readings, 1, 3, 3)
     log = Recording(path.name, "ROS bag", time[:, 0], gyro, accel, notes=(f"IMU from {imu_topic}",))

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..recording import OWN_ESTIMATE, Array, Recording, Track, from_frd
-from . import needed
 
 OWN = "vehicle_attitude"
 """The autopilot's estimate: it is of the axes in which the IMU is logged."""
@@ -53,8 +52,9 @@ def read_ulog(path: Path, truth: str | None = None) -> Recording:
         path: A .ulg file.
         truth: Topic to take for the true attitude; None for the first of TRUTHS that is there.
     """
-    ulog = needed("pyulog", "logs").ULog
-    log = ulog(Bounded(path))
+    from pyulog import ULog
+
+    log = ULog(Bounded(path))
     topics = {each.name: each.data for each in reversed(log.data_list)}  # the first instance of each
     if "sensor_combined" in topics:
         source, note = "sensor_combined", "IMU from sensor_combined"
