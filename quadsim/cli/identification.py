@@ -23,7 +23,7 @@ def identify(
     out: Annotated[
         Path,
         typer.Option(
-            help="TOML file to write: the vehicle, or with --still the IMU. Pictures get the same name."
+            help="TOML file to write: the vehicle, or with --still the IMU. A picture gets the same name."
         ),
     ] = Path("mine.toml"),
     rate: Annotated[
@@ -40,7 +40,7 @@ def identify(
         typer.Option("--bias-only", help="With --still: measure only the biases, for which 3 s are enough."),
     ] = False,
 ) -> None:
-    """Fit thrust, drag, motor lag and inertia of a vehicle to flights, and show vibration and noise.
+    """Fit thrust, drag, motor lag and inertia of a vehicle to flights.
 
     First weigh the vehicle and measure the rotor positions, because flights determine only force per mass.
     Fly aggressively, turn the heading, and fly fast for the drag. Rotor speeds are required, and for the drag

@@ -13,41 +13,39 @@ from ..runs.console import print_table, say
 from ..runs.files import save_figure, write_whole
 from ..vehicle import Vehicle, load_vehicle
 from .fit import Identified, identify
-from .noise import Spectrum, spectra_at_rest, spectra_in_flight
-from .signals import Flight, read_flights
+from .signals import read_flights
 
 SHOWN_S = 10.0
 """Length of the part that is drawn [s]."""
 ROWS = ("force x", "force y", "force z", "ang. acc. x", "ang. acc. y", "ang. acc. z")
-SENSORS = (("gyroscope", "rad/s"), ("accelerometer", "m/s²"))
 
 
 def identify_files(files: Sequence[Path], vehicle: str, out: Path, rate_hz: float, mount: str | None) -> None:
-    """Fit a vehicle to files of flights, write it with its pictures, and print it: `quadsim identify`.
+    """Fit a vehicle to files of flights, write it with a picture, and print it: `quadsim identify`.
 
     Args:
         files: Datasets, or logs.
         vehicle: To begin with.
-        out: Vehicle file to write; pictures get its name.
+        out: Vehicle file to write; the picture gets its name.
         rate_hz: Samples per second that logs are read at.
         mount: Rotation from IMU to body axes of logs.
 
     Raises:
-        ValueError: `out` is no vehicle file, a file has no flight, or the flights do not fit the vehicle.
+        ValueError: `out` is no vehicle file, a file has no flight, no flight has rotor speeds, or the flights
+            do not fit the vehicle.
     """
     start = load_vehicle(vehicle)
     if out.suffix != ".toml":
         raise ValueError(f"{out}: a vehicle file ends in .toml")
-    flights = {file: read_flights(file, rate_hz, mount) for file in files}
-    show_noise([flight for each in flights.values() for flight in each], out)
-    turning = {file: [flight for flight in each if flight.has_rotors] for file, each in flights.items()}
-    if not any(turning.values()):
-        say(f"no rotor speeds in rad/s: noise and vibration alone, and no {out}", "yellow")
-        return
+    flights = []
     for file in files:
-        if not turning[file]:
+        turning = [flight for flight in read_flights(file, rate_hz, mount) if flight.has_rotors]
+        if not turning:
             say(f"{file}: no rotor speeds in rad/s, left out", "yellow")
-    found = identify([flight for each in turning.values() for flight in each], start)
+        flights += turning
+    if not flights:
+        raise ValueError("no rotor speeds in rad/s in any file: a vehicle's constants need them")
+    found = identify(flights, start)
     rows = []
     for path, each in found.constants.to_dict("index").items():
         half, fitted, used = each["half_width"], each["fitted"], each["identified"]
@@ -62,25 +60,6 @@ def identify_files(files: Sequence[Path], vehicle: str, out: Path, rate_hz: floa
     picture = save_figure(out.with_suffix(".png"), draw_fit(found), dpi=120)
     low = found.explained.min()
     say(f"{out}: for --vehicle {out}; the model explains {low:.1%} or more of each signal ({picture})")
-
-
-def show_noise(flights: Sequence[Flight], out: Path) -> None:
-    """Table and picture of noise and vibration of the longest flight."""
-    longest = max(flights, key=lambda flight: len(flight.gyro))
-    flying, resting = spectra_in_flight(longest), spectra_at_rest(longest)
-    rows = []
-    for k, (name, unit) in enumerate(SENSORS):
-        found, rest = flying[k], resting and resting[k]
-        rows.append((f"{name}, RMS above 25 Hz", unit, found.shaking))
-        rows.append((f"{name}, density at 25 to 60 Hz", f"{unit}/√Hz", found.noise))
-        if rest:
-            rows.append((f"{name}, noise at rest", f"{unit}/√Hz", rest.noise))
-        if np.isfinite(found.line_hz):
-            rows.append((f"{name}, line at {found.line_hz:.0f} Hz", unit, found.line))
-    cells = [(name, unit, *(f"{value:.3g}" for value in values)) for name, unit, values in rows]
-    print_table(cells, ("in flight", "unit", "x", "y", "z"))
-    picture = save_figure(out.with_name(f"{out.stem}-noise.png"), draw_noise(flying, resting), dpi=120)
-    say(f"{picture}: spectra of the readings")
 
 
 def write_vehicle(found: Identified, out: str | Path, logs: Sequence[str]) -> Vehicle:
@@ -123,27 +102,4 @@ def draw_fit(found: Identified) -> Figure:
     axes[0, 0].legend(loc="upper right", ncols=2, fontsize=9)
     for ax in axes[-1]:
         ax.set_xlabel("time, s")
-    return figure
-
-
-def draw_noise(flying: tuple[Spectrum, Spectrum], resting: tuple[Spectrum, Spectrum] | None = None) -> Figure:
-    """Densities of the readings in flight, and at rest where the log has rest, as IMU files give them."""
-    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
-    for k, (ax, (name, unit)) in enumerate(zip(figure.subplots(1, 2), SENSORS, strict=True)):
-        found = flying[k]
-        for axis, colour in enumerate(("#0072b2", "#d55e00", "#009e73")):
-            density = np.sqrt(0.5 * found.density[1:, axis])
-            ax.loglog(found.frequency[1:], density, color=colour, lw=1.2, label=f"{'xyz'[axis]}, in flight")
-        if resting is not None:
-            mean = np.sqrt(0.5 * resting[k].density[1:].mean(axis=1))
-            label = "at rest, mean of the axes"
-            ax.loglog(resting[k].frequency[1:], mean, color="0.4", lw=1.2, ls="--", label=label)
-        if np.isfinite(found.line_hz):
-            ax.axvline(found.line_hz, color="0.3", lw=0.8, ls=":")
-            place = {"xy": (found.line_hz, 0.02), "xycoords": ("data", "axes fraction"), "ha": "right"}
-            ax.annotate(f"{found.line_hz:.0f} Hz", **place)
-        ax.set_title(name, loc="left", fontsize=10)
-        ax.set(xlabel="frequency, Hz", ylabel=f"{unit}/√Hz")
-        ax.grid(alpha=0.3, which="both")
-    figure.axes[0].legend(loc="lower left", fontsize=9)
     return figure

@@ -8,7 +8,7 @@ from quadsim.dataset.export import export
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
 from quadsim.flight.recipe import load_recipe
-from quadsim.identify import Flight, flights_of, identify, noise, spectrum
+from quadsim.identify import flights_of, identify
 from quadsim.identify.model import UNITS, constant, lagged, predicted, with_constants
 from quadsim.vehicle import load_vehicle
 
@@ -94,54 +94,27 @@ def test_without_attitude_the_drag_is_not_fitted_and_without_speeds_nothing(flig
         identify(flights, load_vehicle("hexarotor"))
 
 
-def test_noise_and_a_line_are_those_that_were_added():
-    rng = np.random.default_rng(0)
-    rate, density, line = 1000.0, 0.01, 0.5
-    time = np.arange(60_000) / rate
-    signal = rng.normal(0, density * np.sqrt(rate), (60_000, 3))
-    signal[:, 1] += line * np.sin(2 * np.pi * 181.0 * time)
-    found = spectrum(signal, rate)
-    np.testing.assert_allclose(found.noise, density, rtol=0.1)
-    assert found.line_hz == pytest.approx(181.0, abs=0.5)
-    assert found.line[1] == pytest.approx(line, rel=0.1)
-
-
-def test_a_flight_is_parted_into_rest_and_air(monkeypatch):
-    rng = np.random.default_rng(0)
-    shakes = np.repeat([1.0, 30.0, 1.0], [2000, 2000, 600])[:, None]  # a long rest, and a short one
-    gyro, accel = rng.normal(0, 1e-3, (4600, 3)) * shakes, rng.normal(0, 0.02, (4600, 3)) * shakes
-    flight = Flight(200.0, gyro, accel)
-    monkeypatch.setattr(noise, "spectrum", lambda signal, rate, band=noise.FLYING: (signal, band))
-    found = *noise.spectra_at_rest(flight), *noise.spectra_in_flight(flight)
-    np.testing.assert_array_equal(
-        [each for each, _ in found], [gyro[:2000], accel[:2000], gyro[2000:4000], accel[2000:4000]]
-    )
-    assert [band for _, band in found] == [noise.RESTING] * 2 + [noise.FLYING] * 2
-    assert noise.spectra_at_rest(flight.part(2000, 4000)) is None
-
-
-def test_the_command_writes_a_vehicle_and_pictures_and_of_a_log_without_rotor_speeds_noise_alone(
+def test_the_command_writes_a_vehicle_and_a_picture_and_leaves_out_logs_without_rotor_speeds(
     data, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "160")
     export(data[0], "log", "csv")
 
-    def run(*files):
+    def run(code, *files):
         monkeypatch.setattr("sys.argv", ["quadsim", "identify", "--rate", "200", *map(str, files)])
         with pytest.raises(SystemExit) as stop:
             main()
-        assert stop.value.code == 0
-        return capsys.readouterr().out
+        assert stop.value.code == code
+        return "".join(capsys.readouterr())
 
-    assert "no rotor speeds in rad/s: noise and vibration alone" in run("log/flight_000")
+    assert "no rotor speeds in rad/s in any file" in run(2, "log/flight_000")
     assert not (tmp_path / "mine.toml").exists()
-    printed = run("log/flight_000", *data)
+    printed = run(0, "log/flight_000", *data)
     assert "log/flight_000: no rotor speeds in rad/s, left out" in printed
     assert "motor.k_f" in printed
     assert load_vehicle("mine.toml").motor.k_f == pytest.approx(TRUE.motor.k_f, rel=0.05)
     assert (tmp_path / "mine.png").is_file()
-    assert (tmp_path / "mine-noise.png").is_file()
 
 
 @pytest.mark.parametrize(
