@@ -1,7 +1,7 @@
 """The command `report`: show benchmarks, datasets, weights and logs."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
@@ -39,12 +39,12 @@ def report(
     truth: Truth = None,
     imu: Imu = None,
     find_mount: Annotated[
-        Literal["best", "level"] | None,
+        bool,
         typer.Option(
-            help="For a log: estimate --mount. best: from the true attitude, or from hover if there is "
-            "none. level: from the mean force in hover, even if there is a true attitude."
+            "--find-mount",
+            help="For a log: estimate --mount, from the true attitude, or from hover if there is none.",
         ),
-    ] = None,
+    ] = False,
 ) -> None:
     """Show a benchmark, a dataset, weights or a log, depending on PATH.
 
@@ -62,7 +62,7 @@ def report(
 
     Example: quadsim report att-snn --data data/val.zarr
 
-    Example: quadsim report flight.ulg --find-mount best
+    Example: quadsim report flight.ulg --find-mount
     """
     from estimators.circuit.file import is_circuit
     from estimators.networks.weights_file import END, shipped_controllers, shipped_names
@@ -85,10 +85,8 @@ def report(
         report_benchmark(place, out)
     elif place.exists():
         _refuse_others(given, "a log", "--mount", "--truth", "--imu", "--find-mount")
-        if find_mount is None:
-            show_log(place, mount, truth, imu)
-        else:
-            show_mount(place, mount, truth, imu, find_mount == "level")
+        show = show_mount if find_mount else show_log
+        show(place, mount, truth, imu)
     else:
         raise ValueError(f"{path}: no such benchmark, dataset, weights or log")
 
