@@ -315,12 +315,7 @@ def test_a_fault_after_the_end_of_the_flight_is_warned_of(quadsim):
 @pytest.mark.parametrize(
     ("module", "package", "extra", "command"),
     [
-        (
-            "rosbags.rosbag2",
-            "rosbags",
-            "logs",
-            ["export", "flights.zarr", "--format", "rosbag2", "--out", "x"],
-        ),
+        ("rosbags.rosbag2", "rosbags", "logs", "export flights.zarr --format rosbag2 --out x"),
         ("nir", "nir", "export", "export att-snn-paper --format nir --out x"),
         ("pyulog", "pyulog", "logs", "report x.ulg"),
     ],

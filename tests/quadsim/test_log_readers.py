@@ -51,14 +51,14 @@ EVENT = 10 + 4 * len(IMU + QUAT + RPM)
 
 
 @pytest.mark.parametrize(
-    ("cut", "flip", "rows", "said"),
+    ("cut", "flip", "rows"),
     [
-        (100, 0, 398, "cut off after byte {there} of {size}, read up to there"),
-        (0, 1, 400, "bad checksum, all events were read, some of their numbers may be wrong"),
-        (0, 4 + 100 * EVENT, 300, "no event at byte {there} of {size}, read up to there"),
+        (100, 0, 398),
+        (0, 1, 400),
+        (0, 4 + 100 * EVENT, 300),
     ],
 )
-def test_a_damaged_usd_log_is_read_up_to_the_damage_which_is_named(tmp_path, cut, flip, rows, said):
+def test_a_damaged_usd_log_is_read_up_to_the_damage_which_is_named(tmp_path, cut, flip, rows):
     path = write_usd(tmp_path / "log00")
     data = bytearray(path.read_bytes())
     there = len(data) - 4 - (400 - rows) * EVENT
@@ -67,8 +67,8 @@ def test_a_damaged_usd_log_is_read_up_to_the_damage_which_is_named(tmp_path, cut
         data[-flip] ^= 0xFF
     path.write_bytes(data)
     assert read_recording(path).time.size == rows
-    said = said.format(there=there, size=len(data))
-    assert f"damaged: {said}" in reported(path)[1].warnings
+    said = f"damaged: bad checksum, read up to byte {there} of {len(data)}"
+    assert said in reported(path)[1].warnings
 
 
 @pytest.fixture(scope="module")

@@ -129,16 +129,7 @@ def decode(path: Path) -> tuple[dict[str, dict[str, Array]], tuple[str, ...]]:
     }
     if whole and at == end:
         return tracks, ()
-    return tracks, (f"damaged: {_damage(data, at, events, head)}",)
-
-
-def _damage(data: bytes, at: int, events: Mapping[int, Event], head: struct.Struct) -> str:
-    """What is wrong with a file whose events were read up to a byte."""
-    if at == len(data) - 4:
-        return "bad checksum, all events were read, some of their numbers may be wrong"
-    there = f"byte {at} of {len(data)}, read up to there"
-    cut_off = len(data) - at < head.size or head.unpack_from(data, at)[0] in events
-    return f"cut off after {there}" if cut_off else f"no event at {there}"
+    return tracks, (f"damaged: bad checksum, read up to byte {at} of {len(data)}",)
 
 
 def _header(data: bytes, count: int) -> tuple[dict[int, str], dict[int, Event], int]:
