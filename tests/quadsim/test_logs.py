@@ -341,6 +341,8 @@ def test_half_a_minute_at_rest_gives_the_noise_and_says_what_the_walk_needs():
     for sensor, true in ((found.gyro, imu.gyro), (found.accel, imu.accel)):
         assert sensor.noise == pytest.approx(true.noise, rel=0.1)
         assert sensor.random_walk == 0.0
+    along_gravity = abs(np.linalg.norm(log.accel.mean(axis=0)) - 9.81)
+    assert found.accel.turn_on == pytest.approx(along_gravity, abs=0.01)
     (line,) = found.lacking
     assert line.startswith("bias random walk and its time constant: need 60 s")
 
