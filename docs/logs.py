@@ -112,11 +112,10 @@ def calibration_rows(page: Page) -> list[str]:
     for preset in ("adis16448", "px4-mini"):
         imu = load_imu(preset)
         gyro, accel = simulate_imu(imu, np.zeros_like(force), force, RATE, seed=1)
-        found = calibrate([Recording(preset, "", np.arange(steps) / RATE, gyro[0], accel[0])])
+        found = calibrate(Recording(preset, "", np.arange(steps) / RATE, gyro[0], accel[0]))
         if preset == "adis16448":
             page.save(draw(found), "calibration.png", dpi=100, colours=48)
         for name, mine, true in (("gyro", found.gyro, imu.gyro), ("accel", found.accel, imu.accel)):
-            assert mine.noise is not None
             tau = mine.time_constant / (true.time_constant or np.nan)
             ratios = f"{mine.noise / true.noise:.3f}", f"{mine.random_walk / true.random_walk:.2f}"
             lines.append(row(preset, name, *ratios, f"{'' if mine.resolved else '> '}{tau:.2f}"))

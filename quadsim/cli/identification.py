@@ -12,7 +12,7 @@ from .options import Imu, Mount
 def identify(
     files: Annotated[
         list[Path],
-        typer.Argument(help="Datasets or logs of flights with rotor speeds; with --still: logs at rest."),
+        typer.Argument(help="Datasets or logs of flights with rotor speeds; with --still: a log at rest."),
     ],
     vehicle: Annotated[
         str,
@@ -33,12 +33,7 @@ def identify(
     still: Annotated[
         bool, typer.Option("--still", help="The sensor is at rest: measure its noise and biases instead.")
     ] = False,
-    gravity: Annotated[float, typer.Option(help="With --still: local gravity, in m/s².")] = 9.81,
     imu: Imu = None,
-    bias_only: Annotated[
-        bool,
-        typer.Option("--bias-only", help="With --still: measure only the biases, for which 3 s are enough."),
-    ] = False,
 ) -> None:
     """Fit thrust, drag, motor lag and inertia of a vehicle to flights.
 
@@ -48,16 +43,18 @@ def identify(
     names it.
 
     With --still, the command writes an IMU file for `generate --set imu=FILE`, from the Allan variance. A
-    bias needs 3 s at rest, a noise density 10 s, and a bias random walk at least 60 s, better an hour. The
-    time constant of the random walk needs a log several times as long. The file leaves out what the logs are
-    too short for, and the output names it.
+    bias and a noise density need 10 s at rest, and a bias random walk at least 60 s, better an hour. The time
+    constant of the random walk needs a log several times as long. The file leaves out what the log is too
+    short for, and the output names it.
 
     Example: quadsim identify data/flights.zarr --vehicle hummingbird --out mine.toml
 
     Example: quadsim identify still.ulg --still --out my-imu.toml
     """
     if still:
-        calibrate_imu(files, out, gravity, mount, imu, bias_only)
+        if len(files) > 1:
+            raise ValueError(f"--still is of one log, not of {len(files)}")
+        calibrate_imu(files[0], out, mount, imu)
         return
     from ..identify.report import identify_files
 

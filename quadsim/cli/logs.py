@@ -47,12 +47,9 @@ def convert_logs(
     convert(logs, out, piece)
 
 
-def calibrate_imu(
-    files: list[Path], out: Path, gravity: float, mount: str | None, imu: str | None, bias_only: bool
-) -> None:
-    """Measure an IMU's noise from logs at rest (Allan variance); write an IMU file for `quadsim generate`."""
+def calibrate_imu(file: Path, out: Path, mount: str | None, imu: str | None) -> None:
+    """Measure an IMU at rest (Allan variance); write an IMU file for `quadsim generate`."""
     from ..logs import read_recording
     from ..logs.allan import calibrate, show_calibration
 
-    logs = [read_recording(file, mount=mount, imu=imu) for file in files]
-    show_calibration(calibrate(logs, gravity, bias_only=bias_only), None if bias_only else out)
+    show_calibration(calibrate(read_recording(file, mount=mount, imu=imu)), out)

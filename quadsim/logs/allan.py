@@ -1,7 +1,6 @@
 """An IMU's noise from a log in which it lies still: Allan variance, with the simulator's model fitted."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -19,8 +18,8 @@ from ..vehicle import GRAVITY
 from .cleaning import longest_part
 from .recording import Array, Recording
 
-BIAS_S, NOISE_S, WALK_S = 3.0, 10.0, 60.0
-"""Shortest stretches at rest that give a bias, a white noise density and a bias random walk [s]."""
+NOISE_S, WALK_S = 10.0, 60.0
+"""Shortest stretches at rest that give a white noise density and a bias random walk [s]."""
 WALK_SHOWS = 4 * math.sqrt(3.0)
 """A walk exceeds white noise in the Allan variance, σ_b² t/3 > N²/t, at averaging times above √3 N/σ_b, and
 those go to a quarter of the log: one of less than this many N/T does not show in a log of T."""
@@ -47,58 +46,51 @@ class SensorNoise(NamedTuple):
     bias_sd: float
     """Standard deviation of an axis of that mean by white noise, 1/√T of the samples' own."""
     turn_on: float
-    """Standard deviation of the turn-on bias, from as many logs and axes as there are."""
-    noise: float | None = None
-    """White noise density N [unit/√Hz]; None where the logs are too short."""
-    random_walk: float = 0.0
-    """Bias random walk σ_b [unit/√s]; 0 where the logs show none, or are too short."""
-    time_constant: float = 0.0
+    """Standard deviation of the turn-on bias, from that mean."""
+    noise: float
+    """White noise density N [unit/√Hz]."""
+    random_walk: float
+    """Bias random walk σ_b [unit/√s]; 0 where the log shows none, or is too short."""
+    time_constant: float
     """Correlation time τ of that walk [s]."""
-    resolved: bool = False
+    resolved: bool
     """Whether the log is long enough to tell τ; if not, it is a lower bound."""
-    times: Array = np.empty(0)
+    times: Array
     """Averaging times (k,) [s]."""
-    deviation: Array = np.empty(0)
+    deviation: Array
     """Allan deviation (k,), axes pooled."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """What still logs say of an IMU."""
+    """What a still log says of an IMU."""
 
     gyro: SensorNoise
     accel: SensorNoise
     still_s: float
-    """Length of the stretches analysed, all logs together [s]."""
-    longest_s: float
-    """The longest of them [s]."""
-    logs: tuple[str, ...]
+    """Length of the stretch analysed [s]."""
+    log: str
     rate_hz: float
 
     @property
     def lacking(self) -> list[str]:
-        """What the logs are too short for, and how long they have to be, a sentence each."""
-        if self.longest_s < NOISE_S:
-            return [
-                f"noise density: needs {NOISE_S:g} s at rest at a stretch, here are {self.longest_s:.0f} s",
-                f"bias random walk and its time constant: need {WALK_S:g} s at least, an hour to be sure",
-            ]
-        if self.longest_s < WALK_S:
+        """What the log is too short for, and how long it has to be, a sentence each."""
+        if self.still_s < WALK_S:
             return [
                 f"bias random walk and its time constant: need {WALK_S:g} s at rest at a stretch at least, "
-                f"an hour to be sure; here are {self.longest_s:.0f} s"
+                f"an hour to be sure; here are {self.still_s:.0f} s"
             ]
         found = []
         for name, unit, sensor in self.sensors:
             if sensor.random_walk == 0.0:
-                bound = WALK_SHOWS * (sensor.noise or 0.0) / self.longest_s
+                bound = WALK_SHOWS * sensor.noise / self.still_s
                 found.append(
-                    f"{name}, bias random walk: none shows in {self.longest_s:.0f} s, it is below about "
+                    f"{name}, bias random walk: none shows in {self.still_s:.0f} s, it is below about "
                     f"{bound:.2g} {unit}/√s; a smaller one needs a longer log"
                 )
             elif not sensor.resolved:
                 found.append(
-                    f"{name}, time constant: more than {self.longest_s:.0f} s; needs a log several times as "
+                    f"{name}, time constant: more than {self.still_s:.0f} s; needs a log several times as "
                     "long as itself"
                 )
         return found
@@ -132,52 +124,38 @@ def allan_variance(signal: Array, rate_hz: float, sizes: NDArray[np.int64]) -> A
     return out
 
 
-def calibrate(logs: Sequence[Recording], gravity: float = GRAVITY, *, bias_only: bool = False) -> Calibration:
-    """Noise densities, bias random walks and turn-on biases of the IMU that recorded still logs.
+def calibrate(log: Recording) -> Calibration:
+    """Noise densities, bias random walks and biases of the IMU that recorded a still log.
 
-    A bias needs `BIAS_S` at rest at a stretch, a noise density `NOISE_S` and a bias random walk `WALK_S`.
-    What the logs are too short for is left out, and named by `Calibration.lacking`.
+    A noise density needs `NOISE_S` at rest at a stretch and a bias random walk `WALK_S`. What the log is too
+    short for is left out, and named by `Calibration.lacking`.
 
     Args:
-        logs: From `read_recording`: the raw samples, which no filter has touched. Of each the longest stretch
-            is used in which the sensor lies still.
-        gravity: Where it was recorded [m/s²].
-        bias_only: Leave the noise out.
+        log: From `read_recording`: the raw samples, which no filter has touched. The longest stretch is used
+            in which the sensor lies still.
 
     Raises:
-        ValueError: A log without a still stretch or without noise, logs at different rates, or no gravity of
-            this planet.
+        ValueError: A log without a still stretch or without noise, or no gravity of this planet.
     """
-    if not 9.7 <= gravity <= 9.9:
-        raise ValueError(f"gravity: {gravity} m/s², on Earth it is 9.76 to 9.84")
-    logs = [longest_part(log)[0] for log in logs]
-    rates = [1.0 / float(np.median(np.diff(log.time))) for log in logs]
-    if max(rates) > 1.02 * min(rates):
-        raise ValueError(f"logs at {min(rates):.1f} to {max(rates):.1f} Hz; one rate is required")
-    rate = float(np.mean(rates))
-    gyros, accels = zip(*(still_readings(log) for log in logs), strict=True)
-    down = np.stack([accel.mean(axis=0) for accel in accels])
-    length = np.linalg.norm(down, axis=1, keepdims=True)
-    for log, gyro, accel, found in zip(logs, gyros, accels, length[:, 0], strict=True):
-        if not 0.9 * gravity <= found <= 1.1 * gravity:
-            raise ValueError(
-                f"{log.name}: at rest it reads a specific force of {found:.4g} m/s², and gravity is "
-                f"{gravity:g}: look at its unit (g, mg?)"
-            )
-        if not bias_only and not (np.ptp(gyro, axis=0).any() and np.ptp(accel, axis=0).any()):
-            raise ValueError(
-                f"{log.name}: at rest it reads the same numbers all the time: no noise to measure"
-            )
+    log = longest_part(log)[0]
+    rate = 1.0 / float(np.median(np.diff(log.time)))
+    gyro, accel = still_readings(log)
+    down, mean = accel.mean(axis=0), gyro.mean(axis=0)
+    length = float(np.linalg.norm(down))
+    if not 0.9 * GRAVITY <= length <= 1.1 * GRAVITY:
+        raise ValueError(
+            f"{log.name}: at rest it reads a specific force of {length:.4g} m/s², and gravity is "
+            f"{GRAVITY:g}: look at its unit (g, mg?)"
+        )
+    if not (np.ptp(gyro, axis=0).any() and np.ptp(accel, axis=0).any()):
+        raise ValueError(f"{log.name}: at rest it reads the same numbers all the time: no noise to measure")
     # A level is unknown to a sensor at rest: only the length of what it reads tells of its bias.
-    along, means = down / length * (length - gravity), np.stack([gyro.mean(axis=0) for gyro in gyros])
-    longest = max(len(gyro) for gyro in gyros) / rate
-    analysed = 0.0 if bias_only else longest
+    along = down / length * (length - GRAVITY)
     return Calibration(
-        gyro=_fitted(gyros, rate, analysed, means, float(np.sqrt(np.mean(means**2)))),
-        accel=_fitted(accels, rate, analysed, along, float(np.sqrt(np.mean((length - gravity) ** 2)))),
-        still_s=sum(len(gyro) for gyro in gyros) / rate,
-        longest_s=longest,
-        logs=tuple(log.name for log in logs),
+        gyro=_fitted(gyro, rate, mean, float(np.sqrt(np.mean(mean**2)))),
+        accel=_fitted(accel, rate, along, abs(length - GRAVITY)),
+        still_s=len(gyro) / rate,
+        log=log.name,
         rate_hz=rate,
     )
 
@@ -186,7 +164,7 @@ def still_readings(log: Recording) -> tuple[Array, Array]:
     """Both sensors over the longest stretch in which they lie still and no sample is missing, (n, 3) each.
 
     Raises:
-        ValueError: It is shorter than `BIAS_S`.
+        ValueError: It is shorter than `NOISE_S`.
     """
     period = float(np.median(np.diff(log.time)))
     second = max(1, round(1.0 / period))
@@ -201,9 +179,9 @@ def still_readings(log: Recording) -> tuple[Array, Array]:
         near &= np.abs(means - np.median(means[calm], axis=0)) < DRIFT * most
         quiet &= (near & (blocks.std(axis=1) < shake)).all(axis=1)
     start, end = longest_stretch(quiet)
-    if (found := (end - start) * second * period) < 0.99 * BIAS_S:
+    if (found := (end - start) * second * period) < 0.99 * NOISE_S:
         raise ValueError(
-            f"{log.name}: at rest for {found:.0f} s at a stretch; at least {BIAS_S:g} s are required"
+            f"{log.name}: at rest for {found:.0f} s at a stretch; at least {NOISE_S:g} s are required"
         )
     return log.gyro[start * second : end * second], log.accel[start * second : end * second]
 
@@ -211,7 +189,7 @@ def still_readings(log: Recording) -> tuple[Array, Array]:
 def write_imu(calibration: Calibration, out: Path) -> None:
     """Write an IMU file that `quadsim generate --set imu=FILE` reads."""
     lines = [
-        f"# Calibrated by `quadsim identify --still` from {', '.join(calibration.logs)}:",
+        f"# Calibrated by `quadsim identify --still` from {calibration.log}:",
         f"# {calibration.still_s:.0f} s at {calibration.rate_hz:.1f} Hz at rest. Scale,",
         "# misalignment, low-pass and range do not show at rest: take them from the data sheet, and add",
         "# scale_factor, misalignment, low_pass_hz and saturation here.",
@@ -219,9 +197,7 @@ def write_imu(calibration: Calibration, out: Path) -> None:
     lines += [f"# {line}" for line in calibration.lacking]
     for name, (_, unit, sensor) in zip(("gyro", "accel"), calibration.sensors, strict=True):
         bias = ", ".join(f"{value:.5g}" for value in sensor.bias)
-        lines += ["", f"[{name}]"]
-        if sensor.noise is not None:
-            lines.append(f"noise = {sensor.noise:.5g} # {unit}/√Hz")
+        lines += ["", f"[{name}]", f"noise = {sensor.noise:.5g} # {unit}/√Hz"]
         if sensor.random_walk > 0:
             sure = "" if sensor.resolved else ": a lower bound, the log is too short to tell"
             lines += [
@@ -232,29 +208,15 @@ def write_imu(calibration: Calibration, out: Path) -> None:
     write_whole(out, "\n".join(lines) + "\n")
 
 
-def _fitted(
-    signals: Sequence[Array], rate_hz: float, longest_s: float, bias: Array, turn_on: float
-) -> SensorNoise:
-    """The model with the Allan variance nearest to that of several stretches of three axes.
-
-    As much of it as the longest of them allows, `longest_s` [s].
-    """
-    white = np.mean([signal.var(axis=0).mean() / len(signal) for signal in signals])
-    found = SensorNoise(bias.mean(axis=0), float(np.sqrt(white / len(signals))), turn_on)
-    if longest_s < NOISE_S:
-        return found
-    longest = max(len(signal) for signal in signals)
-    sizes = np.unique(np.geomspace(1, max(2, int(longest * LONGEST)), POINTS).astype(np.int64))
+def _fitted(signal: Array, rate_hz: float, bias: Array, turn_on: float) -> SensorNoise:
+    """The model with the Allan variance nearest to that of three axes (T, 3), as much as T allows."""
+    sizes = np.unique(np.geomspace(1, max(2, int(len(signal) * LONGEST)), POINTS).astype(np.int64))
     times = sizes / rate_hz
-    total, weight = np.zeros(sizes.size), np.zeros(sizes.size)
-    for signal in signals:
-        fits = sizes <= len(signal) * LONGEST
-        freedom = 3 * np.maximum(len(signal) / sizes[fits] - 1, 1.0)
-        total[fits] += freedom * allan_variance(signal, rate_hz, sizes[fits]).mean(axis=1)
-        weight[fits] += freedom
-    variance = total / weight
-    fitted = _fit(times, variance, weight, longest_s >= WALK_S)
-    return SensorNoise(*found[:3], *fitted, times, np.sqrt(variance))
+    variance = allan_variance(signal, rate_hz, sizes).mean(axis=1)
+    freedom = 3 * np.maximum(len(signal) / sizes - 1, 1.0)
+    fitted = _fit(times, variance, freedom, len(signal) / rate_hz >= WALK_S)
+    bias_sd = float(np.sqrt(signal.var(axis=0).mean() / len(signal)))
+    return SensorNoise(bias, bias_sd, turn_on, *fitted, times, np.sqrt(variance))
 
 
 def _fit(times: Array, variance: Array, freedom: Array, with_walk: bool) -> tuple[float, float, float, bool]:
@@ -281,44 +243,32 @@ def _fit(times: Array, variance: Array, freedom: Array, with_walk: bool) -> tupl
 
 
 def draw(calibration: Calibration) -> Figure:
-    """Measured and fitted Allan deviation of both sensors.
-
-    Raises:
-        ValueError: The logs are too short for one.
-    """
-    if not calibration.gyro.times.size:
-        raise ValueError(f"an Allan deviation needs {NOISE_S:g} s at rest at a stretch")
+    """Measured and fitted Allan deviation of both sensors."""
     figure = Figure(figsize=(9, 3.8), layout="constrained")
     for axes, (name, unit, sensor) in zip(figure.subplots(1, 2), calibration.sensors, strict=True):
         axes.loglog(sensor.times, sensor.deviation, "o", ms=3.5, label="log")
-        noise, walk, tau = sensor.noise or 0.0, sensor.random_walk, sensor.time_constant
-        fitted = np.sqrt(model_variance(sensor.times, noise, walk, tau))
-        axes.loglog(sensor.times, fitted, lw=1.5, label="fitted model")
+        fitted = model_variance(sensor.times, sensor.noise, sensor.random_walk, sensor.time_constant)
+        axes.loglog(sensor.times, np.sqrt(fitted), lw=1.5, label="fitted model")
         axes.set(xlabel="averaging time, s", ylabel=f"Allan deviation, {unit}", title=name)
         axes.grid(True, which="both", alpha=0.25)
         axes.legend()
     return figure
 
 
-def show_calibration(found: Calibration, out: Path | None) -> None:
+def show_calibration(found: Calibration, out: Path) -> None:
     """Print a calibration, and write its IMU file and picture: `identify --still`."""
     rows = []
     for (name, unit, sensor), seen in zip(found.sensors, ("", ", along gravity"), strict=True):
         values = (f"{value:+.5f}" for value in sensor.bias)
         rows.append((f"{name}{seen}, {unit}", *values, f"{sensor.bias_sd:.5f}"))
     print_table(rows, ("sensor", "bias x", "y", "z", "1 SD by noise"))
-    if out is None:
-        rates = ", ".join(f"{math.degrees(value):+.3f}" for value in found.gyro.bias)
-        say(f"{', '.join(found.logs)}: gyroscope bias ({rates}) °/s, from {found.still_s:.0f} s at rest")
-        return
     write_imu(found, out)
     save_figure(out.with_suffix(".png"), draw(found), dpi=130)
     rows = []
-    for name, sensor in (("gyro, rad/s", found.gyro), ("accel, m/s²", found.accel)):
+    for name, unit, sensor in found.sensors:
         tau = f"{'' if sensor.resolved else '> '}{sensor.time_constant:.0f}" if sensor.random_walk else "-"
-        noise = "-" if sensor.noise is None else f"{sensor.noise:.4g}"
         walk = f"{sensor.random_walk:.4g}" if sensor.random_walk else "-"
-        rows.append((name, noise, walk, tau, f"{sensor.turn_on:.3g}"))
+        rows.append((f"{name}, {unit}", f"{sensor.noise:.4g}", walk, tau, f"{sensor.turn_on:.3g}"))
     print_table(rows, ("sensor", "noise density", "bias random walk", "time constant, s", "turn-on bias"))
     for line in found.lacking:
         say(f"! {line}")

@@ -51,7 +51,7 @@ DOWNWARD = (
 )
 """Reported where the mean force is upside down."""
 UNSCORED = "no attitude in this log: it can be run, not scored"
-LARGE_BIAS, LEAST_REST_S = np.radians(1.0), 3.0
+LARGE_BIAS, LEAST_REST_S = np.radians(1.0), 10.0
 """Rate at rest [rad/s] that is reported where no truth shows the bias, over at least this time [s]."""
 VIBRATION = 1.0
 """Vibration above which a log without truth is warned of [m/s²]: 0.1 g shifts the mean of real sensors."""
@@ -233,7 +233,7 @@ class LogReport:
             if rest and rest.seconds >= LEAST_REST_S and rest.rate > LARGE_BIAS:
                 rate = f"{np.degrees(rest.rate):.1f} °/s across the vertical"
                 failing = any(fault.sensor == "gyroscope" for fault in self.sensor_faults)
-                mend = FAILING if failing else f"`quadsim identify {self.path or 'LOG'} --still --bias-only`"
+                mend = FAILING if failing else f"`quadsim identify {self.path or 'LOG'} --still`"
                 yield f"at rest for {rest.seconds} s, the gyroscope reads {rate}, a large bias: {mend}"
             if self.vibration > VIBRATION:
                 yield (
