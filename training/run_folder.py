@@ -9,7 +9,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from quadsim.runs.files import drop_parts, save_figure, write_whole
+from quadsim.runs.files import save_figure, write_whole
 from quadsim.runs.fingerprint import code_digest
 
 from .config import TrainConfig
@@ -63,7 +63,6 @@ def claim(out: Path, config: TrainConfig, contents: dict[str, str] | None = None
             changed.
     """
     out.mkdir(parents=True, exist_ok=True)
-    drop_parts(out)
     file, text = out / "config.json", config.model_dump_json(indent=2)
     if file.is_file():
         try:

@@ -24,7 +24,7 @@ from quadsim.config.toml import preset_names
 from quadsim.estimator import AttitudeEstimator, receives_truth
 from quadsim.held_out import unreserved
 from quadsim.imu.spec import load_imu
-from quadsim.runs.files import alone, drop_parts, write_whole
+from quadsim.runs.files import alone, write_whole
 
 from ..custom import is_custom
 from ..evaluation.flights import Flights, Initial, imu_of, load_flights, vehicle_of
@@ -306,7 +306,6 @@ def write_tuning(path: Path, name: str, tuned: Tuned, comment: str) -> None:
         shared = tuned.model_copy(update={"command": f"the values of ekf: {tuned.command}"})
         found |= dict.fromkeys(FILTERPY, shared)
     with alone(path, wait_s=10.0):  # a process that tunes another filter may write its own
-        drop_parts(path)
         tables = load_tuning(path) if path.exists() else {}
         if path.exists():
             top = itertools.takewhile(lambda line: line.startswith("#"), path.read_text("utf-8").splitlines())

@@ -9,6 +9,7 @@ import typer
 from ..runs.console import Bar, progress_bar
 from ..runs.console import output as console
 from ..runs.pool import process_count
+from ..runs.record import command_line
 from .options import (
     Fields,
     Initial,
@@ -16,7 +17,6 @@ from .options import (
     Preset,
     Search,
     fields_of,
-    time_left,
 )
 
 if TYPE_CHECKING:
@@ -93,8 +93,7 @@ def _train_network(out: Path, data: list[Path], model: str, preset: str, choices
             bar(epoch.epoch + 1, config.epochs)
             console.print(
                 f"epoch {epoch.epoch + 1}: training loss {epoch.train_loss:.4g}, validation {epoch}, "
-                f"spike rates {epoch.rate_encoding:.3f} {epoch.rate_hidden:.3f}, "
-                f"{time_left(epoch.seconds, epoch.epoch + 1, config.epochs)} left",
+                f"spike rates {epoch.rate_encoding:.3f} {epoch.rate_hidden:.3f}",
                 highlight=False,
             )
 
@@ -171,11 +170,6 @@ def tune(
     from ..dataset.reading import open_dataset
 
     datasets = [open_dataset(path) for path in data]
-    options = [f"--data {path}" for path in data]
-    options += [f"--particles {particles} --iterations {iterations}"]
-    options += [f"--flights {flights}"] * (flights is not None)
-    options += [f"--pieces {pieces}"] * (pieces > 1)
-    options += [f"--initial {initial} --search {search} --seed {seed} --out {out}"]
     for name in tunable() if estimator == "all" else [estimator]:
         with progress_bar(f"tune {name}", "iterations") as bar:
 
@@ -188,7 +182,7 @@ def tune(
                 SearchSettings(search, particles, iterations, seed),
                 FlightSelection(flights, pieces, initial),
                 workers=process_count(None, particles),
-                command=f"quadsim tune --estimator {name} {' '.join(options)}",
+                command=command_line(),
                 progress=progress,
             )
         write_tuning(out, name, tuned, f"Tuned on {', '.join(map(str, data))} (quadsim tune)")

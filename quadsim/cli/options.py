@@ -88,14 +88,6 @@ OWN_CONTROLLER = (
 )
 
 
-def time_left(seconds: float, done: int, total: int) -> str:
-    """Remaining time at the mean pace so far, for example "12 min"."""
-    left = seconds / done * (total - done)
-    if left < 100:
-        return f"{left:.0f} s"
-    return f"{left / 60:.0f} min" if left < 6000 else f"{left / 3600:.1f} h"
-
-
 def fields_of(texts: Sequence[str] | None, *options: str) -> dict[str, object]:
     """Settings given by --set; those named in `options` are refused, because another option sets them."""
     from ..config.toml import merged

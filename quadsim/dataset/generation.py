@@ -12,7 +12,7 @@ import numpy as np
 from ..config.ranges import steps_of
 from ..flight.recipe import Recipe
 from ..held_out import unreserved
-from ..runs.files import alone, drop_parts
+from ..runs.files import alone
 from ..runs.fingerprint import code_digest
 from ..runs.pool import process_count, run_jobs
 from . import store as dataset_store
@@ -153,8 +153,6 @@ def _flat(tree: object, prefix: str = "") -> dict[str, object]:
 
 def _fly_all(plan: Plan, folder: Path, workers: int, executor: Executor | None, progress: Progress) -> None:
     """Fly what is missing."""
-    if executor is None:  # another machine's worker may still be writing
-        drop_parts(folder)
     whole = dataset_store.whole_flights(folder)
     missing = [flight for flight in range(plan.flights) if flight not in whole]
     batches = {batch[0]: (plan, folder, batch) for batch in _batches(missing, plan.steps, workers)}

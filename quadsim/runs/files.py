@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 from .fingerprint import fingerprint
 
-PART = ".part"
-
 
 def replace(path: str | Path, write: Callable[[Path], object]) -> Path:
     """Write a file, and the folders above it, so that the path holds what was there or the whole new file.
@@ -33,7 +31,7 @@ def replace(path: str | Path, write: Callable[[Path], object]) -> Path:
     """
     path = Path(path)
     _make_folder(path.parent)
-    part = path.with_name(f".{path.stem}.{os.getpid()}{PART}{path.suffix}")
+    part = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
     try:
         write(part)
         part.replace(path)
@@ -42,28 +40,6 @@ def replace(path: str | Path, write: Callable[[Path], object]) -> Path:
     finally:
         part.unlink(missing_ok=True)  # still there if writing failed
     return path
-
-
-def drop_parts(path: str | Path) -> None:
-    """Remove what processes that were killed left half written at a path, or anywhere in a folder."""
-    path = Path(path)
-    found = (
-        path.rglob(f".*{PART}*") if path.is_dir() else path.parent.glob(f".{path.stem}.*{PART}{path.suffix}")
-    )
-    for part in found:
-        writer = part.name.split(PART)[0].rsplit(".", 1)[-1]
-        if writer.isdigit() and not _is_alive(int(writer)):
-            part.unlink(missing_ok=True)
-
-
-def _is_alive(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:  # somebody else's
-        return True
-    return True
 
 
 def write_whole(path: str | Path, content: str | bytes) -> Path:

@@ -18,8 +18,6 @@ UNGUARDED = (
     "worker processes read the script that starts them: put its calls under if __name__ == '__main__':, or "
     "work with one process"
 )
-POLL_S = 1.0
-"""Time between two calls of `tick`."""
 
 Key = TypeVar("Key")
 Result = TypeVar("Result")
@@ -30,7 +28,6 @@ def run_jobs(
     jobs: Mapping[Key, tuple],
     workers: int | None = None,
     executor: Executor | None = None,
-    tick: Callable[[], None] | None = None,
 ) -> Generator[tuple[Key, Result]]:
     """Call a function for every job, and yield the key of each job with its result as they end.
 
@@ -39,23 +36,18 @@ def run_jobs(
         jobs: Arguments by key.
         workers: Processes, by default one for each CPU; 1 stays in this process and runs the jobs in order.
         executor: Where to run in place of processes of our own.
-        tick: Called at the beginning, at the end, and now and then.
 
     Raises:
         BrokenExecutor: A worker process died.
         ChildProcessError: The executor's cluster was lost.
     """
     workers = process_count(workers, len(jobs))
-    if tick:
-        tick()
     if executor is None and workers == 1:
         for key, job in jobs.items():
             yield key, function(*job)
-            if tick:
-                tick()
         return
     with nullcontext(executor) if executor is not None else worker_pool(workers) as pool:
-        for key, result in _submit(pool, function, jobs, tick):
+        for key, result in _submit(pool, function, jobs):
             if isinstance(result, BaseException):
                 raise result
             yield key, result
@@ -98,20 +90,15 @@ def run_all(
 
 
 def _submit(
-    executor: Executor,
-    function: Callable[..., Result],
-    jobs: Mapping[Key, tuple],
-    tick: Callable[[], None] | None = None,
+    executor: Executor, function: Callable[..., Result], jobs: Mapping[Key, tuple]
 ) -> Iterator[tuple[Key, Result | BaseException]]:
     """Run jobs on an executor; yields the exception in place of the result where a job failed."""
     running = {executor.submit(function, *job): key for key, job in jobs.items()}
     try:
         while running:
-            for future in wait_for(running, POLL_S if tick else None, "FIRST_COMPLETED").done:
+            for future in wait_for(running, return_when="FIRST_COMPLETED").done:
                 error = future.exception()
                 yield running.pop(future), future.result() if error is None else error
-            if tick:
-                tick()
     except CancelledError as error:
         raise ChildProcessError(CLUSTER_LOST) from error
     finally:

@@ -44,9 +44,8 @@ def recorded(folder: Path) -> Iterator[None]:
         yield
     finally:
         if folder.is_dir():
-            command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
             now = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S")
-            new = RunRecord(version("quadsim"), commit(), command, now, time.perf_counter() - began)
+            new = RunRecord(version("quadsim"), commit(), command_line(), now, time.perf_counter() - began)
             write_json(folder / FILE, asdict(_resumed(new, load_record(folder))))
 
 
@@ -56,6 +55,11 @@ def load_record(folder: Path) -> RunRecord | None:
         return _RECORD.validate_python(read_json(folder.expanduser() / FILE))
     except (OSError, ValueError):
         return None
+
+
+def command_line() -> str:
+    """The command that this process was started by."""
+    return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
 
 
 def commit() -> str:

@@ -13,7 +13,7 @@ from quadsim.external import load_external
 from quadsim.flight.scenario import Scenario, changed
 from quadsim.imu.spec import load_imu
 from quadsim.own import own_files
-from quadsim.runs.files import alone, drop_parts, write_whole
+from quadsim.runs.files import alone, write_whole
 from quadsim.runs.fingerprint import ASSETS, ROOT, code_digest, file_digest, fingerprint
 from quadsim.runs.pool import run_all
 from quadsim.vehicle import load_vehicle
@@ -84,7 +84,6 @@ def bench(
     _check(flown, names, settings)
     with alone(out):
         out.mkdir(parents=True, exist_ok=True)
-        drop_parts(out)
         jobs = [(name, scenario, each) for name, scenario in flown.items() for each in names]
         cells = _fly_cells(jobs, out, settings, workers, executor, progress)
         levels = {name: case.levels for name, case in cases.items() if case.levels}

@@ -19,7 +19,7 @@ from estimators.tuned import Tuned, Tuning, to_toml
 from quadsim.config.toml import parse, read_toml
 from quadsim.runs import compiled
 from quadsim.runs.compiled import njit
-from quadsim.runs.files import alone, drop_parts, replace, write_csv, write_whole
+from quadsim.runs.files import alone, replace, write_csv, write_whole
 from quadsim.runs.fingerprint import code_digest, fingerprint, source_digest
 from quadsim.runs.record import load_record, recorded
 
@@ -39,22 +39,6 @@ def test_a_file_is_whole_or_as_it_was(tmp_path):
     assert os.listdir(path.parent) == ["x.txt"]
     write_whole(path, b"after")
     assert path.read_bytes() == b"after"
-
-
-def test_what_a_killed_process_left_half_written_is_dropped(tmp_path):
-    dead = subprocess.run(
-        [sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, text=True
-    )
-    gone, alive = (f".x.{pid}.part.toml" for pid in (int(dead.stdout), os.getpid()))
-    for folder in (tmp_path, tmp_path / "deep"):
-        folder.mkdir(exist_ok=True)
-        for name in (gone, alive, "x.part.toml", f".y.{int(dead.stdout)}.part.toml"):
-            (folder / name).touch()
-    drop_parts(tmp_path / "x.toml")
-    assert not (tmp_path / gone).exists()
-    assert len(list(tmp_path.rglob("*.toml"))) == 7
-    drop_parts(tmp_path)
-    assert {each.name for each in tmp_path.rglob("*.toml")} == {alive, "x.part.toml"}
 
 
 def test_permissions_are_as_the_umask_says(tmp_path):

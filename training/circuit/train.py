@@ -25,7 +25,7 @@ from estimators.circuit.floats import run_floats, stepped
 from estimators.circuit.parameters import LEARNT, OUTPUT, RATE_HZ, Parameters, untrained
 from estimators.metrics import absolute_error
 from quadsim.dataset.figures import STYLE
-from quadsim.runs.files import alone, drop_parts, save_figure, write_csv, write_whole
+from quadsim.runs.files import alone, save_figure, write_csv, write_whole
 from quadsim.runs.fingerprint import code_digest
 from quadsim.runs.record import commit
 
@@ -132,7 +132,6 @@ def _steps_of(run: CircuitRun, parts: list) -> int:
 def _claim(run: CircuitRun, out: Path) -> None:
     """Make the folder this run's."""
     out.mkdir(parents=True, exist_ok=True)
-    drop_parts(out)
     file, code = out / "config.json", code_digest("training.circuit.train")
     text = json.dumps({"run": json.loads(run.model_dump_json()), "code": code}, indent=2)
     if file.is_file() and file.read_text(encoding="utf-8") != text:
