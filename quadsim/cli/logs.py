@@ -13,7 +13,7 @@ def show_log(file: Path, mount: str | None, truth: str | None, imu: str | None) 
     show_report(file, read_log(file, mount=mount, truth=truth, imu=imu).attrs["log"])
 
 
-def show_mount(file: Path, mount: str | None, truth: str | None, imu: str | None) -> None:
+def show_mount(file: Path, mount: str | None, truth: str | None, imu: str | None, level: bool) -> None:
     """Estimate the rotation from IMU to body axes, and print the --mount that gives it.
 
     If the log has the body's true attitude, this is the rotation that fits the gyroscope's rates to the true
@@ -23,7 +23,7 @@ def show_mount(file: Path, mount: str | None, truth: str | None, imu: str | None
     from ..logs import read_log
     from ..logs.mounting import estimate_mount, show_estimate
 
-    show_estimate(file, estimate_mount(read_log(file, mount=mount, truth=truth, imu=imu), mount))
+    show_estimate(file, estimate_mount(read_log(file, mount=mount, truth=truth, imu=imu), mount, level))
 
 
 def convert_logs(

@@ -73,9 +73,9 @@ Mount = Annotated[
     str | None,
     typer.Option(
         "--mount",
-        help='Rotation from IMU to body axes: body x, y and z as axes of the IMU ("z,-y,x"), or roll, '
-        'pitch and yaw of the IMU in degrees ("rpy 0 20 90"). The true attitude is rotated only if it is '
-        "that of the IMU itself.",
+        help='Rotation from IMU to body axes: body x, y and z as axes of the IMU ("z,-y,x"); roll, '
+        'pitch and yaw of the IMU in degrees ("rpy 0 20 90"); a quaternion w x y z; or a matrix '
+        "by rows. The true attitude is rotated only if it is that of the IMU itself.",
     ),
 ]
 Truth = Annotated[

@@ -1,7 +1,7 @@
 """The command `report`: show benchmarks, datasets, weights and logs."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -39,12 +39,12 @@ def report(
     truth: Truth = None,
     imu: Imu = None,
     find_mount: Annotated[
-        bool,
+        Literal["best", "level"] | None,
         typer.Option(
-            "--find-mount",
-            help="For a log: estimate --mount, from the true attitude, or from hover if there is none.",
+            help="For a log: estimate --mount. best: from the true attitude, or from hover if there is "
+            "none. level: from the mean force in hover, even if there is a true attitude."
         ),
-    ] = False,
+    ] = None,
 ) -> None:
     """Show a benchmark, a dataset, weights or a log, depending on PATH.
 
@@ -62,7 +62,7 @@ def report(
 
     Example: quadsim report att-snn --data data/val.zarr
 
-    Example: quadsim report flight.ulg --find-mount
+    Example: quadsim report flight.ulg --find-mount best
     """
     from estimators.circuit.file import is_circuit
     from estimators.networks.weights_file import END, shipped_controllers, shipped_names
@@ -85,8 +85,10 @@ def report(
         report_benchmark(place, out)
     elif place.exists():
         _refuse_others(given, "a log", "--mount", "--truth", "--imu", "--find-mount")
-        show = show_mount if find_mount else show_log
-        show(place, mount, truth, imu)
+        if find_mount is None:
+            show_log(place, mount, truth, imu)
+        else:
+            show_mount(place, mount, truth, imu, find_mount == "level")
     else:
         raise ValueError(f"{path}: no such benchmark, dataset, weights or log")
 

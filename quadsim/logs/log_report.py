@@ -276,7 +276,7 @@ class LogReport:
     def _mend(self) -> str:
         far = self.level is not None and self.level.tilt_deg > FAR_DEG
         about = f', about --mount "{mount_text(self.level.mount)}"' if self.level and far else ""
-        command = f"quadsim report {self.path or 'LOG'} --find-mount"
+        command = f"quadsim report {self.path or 'LOG'} --find-mount best"
         return f"`{command}` estimates the --mount that corrects it{about}"
 
     @property

@@ -14,7 +14,7 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from ..dataset.stretches import blocks_of
-from ..rotation import matrix_from_quat, quat_from_roll_pitch, roll_pitch_of_up
+from ..rotation import matrix_from_quat, quat_from_roll_pitch, quat_rotate_inverse, roll_pitch_of_up
 from ..runs.console import print_table, say
 from ..vehicle import GRAVITY
 from .recording import Array, mount_matrix, mount_text
@@ -75,6 +75,10 @@ class MountEstimate(NamedTuple):
     """Standard deviation about body x, y, z [deg]; infinite about z where the heading does not show."""
     by: str
     """What it was estimated from."""
+    accel_bias: Array | None = None
+    """Accelerometer's bias across body z (2,) [m/s²]; None where it cannot be separated from a tilt."""
+    levelled: bool = False
+    """Whether the tilt is that of the mean force, because the bias hides a part of the IMU's tilt."""
 
 
 def level(gyro: Array, accel: Array, rate_hz: float) -> Level | None:
@@ -120,12 +124,13 @@ def turn_at_rest(gyro: Array, accel: Array, rate_hz: float) -> Rest | None:
     return max(found, key=lambda rest: rest.rate * rest.seconds, default=None)
 
 
-def estimate_mount(log: xr.Dataset, given: str | None = None) -> MountEstimate:
+def estimate_mount(log: xr.Dataset, given: str | None = None, from_level: bool = False) -> MountEstimate:
     """The mounting of an IMU, from a true attitude of the body where there is one, else from the mean force.
 
     Args:
         log: From `read_log`.
         given: The mount that it was read with; the estimate includes it.
+        from_level: From the mean force, although there is a true attitude.
 
     Raises:
         ValueError: Too little motion for the truth, or no complete second of samples.
@@ -133,8 +138,8 @@ def estimate_mount(log: xr.Dataset, given: str | None = None) -> MountEstimate:
     report, rate_hz = log.attrs["log"], float(log.attrs["rate_hz"])
     gyro, accel, quat = (log[name].to_numpy()[0] for name in ("gyro", "accel", "quat"))
     try:
-        if np.isfinite(quat).any() and report.truth_axes == "body":
-            found = mount_from_truth(gyro, quat, rate_hz)
+        if np.isfinite(quat).any() and report.truth_axes == "body" and not from_level:
+            found = with_accel_bias(mount_from_truth(gyro, quat, rate_hz), accel, quat)
         else:
             found = mount_from_level(level(gyro, accel, rate_hz))
     except ValueError as error:
@@ -187,6 +192,30 @@ def mount_from_truth(gyro: Array, quat: Array, rate_hz: float) -> MountEstimate:
     return MountEstimate(np.asarray(rotation.as_matrix()), (x, y, z), f"{count} turns of the truth")
 
 
+def with_accel_bias(found: MountEstimate, accel: Array, quat: Array) -> MountEstimate:
+    """A mounting by the truth, with the accelerometer's bias: its mean less gravity's in body axes.
+
+    Filters take the bias for a tilt. Where it hides a part of the IMU's tilt, so that more would show with
+    the mounting than without, the tilt is that which brings the mean force onto gravity's: both together.
+    """
+    known = np.isfinite(accel).all(axis=1) & np.isfinite(quat).all(axis=1)
+    force = accel[known].mean(axis=0)
+    gravity = quat_rotate_inverse(quat[known], np.array([0.0, 0.0, GRAVITY])).mean(axis=0)
+    mounted_force = found.body_from_imu @ force
+    bias = (mounted_force - gravity)[:2]
+    found = found._replace(accel_bias=bias)
+    hidden = np.linalg.norm(bias) > np.linalg.norm((force - gravity)[:2])
+    if not hidden or np.linalg.norm(gravity) < 0.5 * GRAVITY:
+        return found
+    axis = np.cross(mounted_force, gravity)
+    sine = float(np.linalg.norm(axis))
+    tilt = np.arctan2(sine, float(mounted_force @ gravity))
+    levelling = Rotation.from_rotvec(axis / max(sine, 1e-12) * tilt)
+    sd = np.hypot(found.sd_deg, np.degrees([tilt, tilt, 0.0]))
+    body_from_imu = levelling.as_matrix() @ found.body_from_imu
+    return found._replace(body_from_imu=body_from_imu, sd_deg=tuple(sd.tolist()), levelled=True)
+
+
 def show_estimate(path: Path, found: MountEstimate) -> None:
     """Print an estimated mounting, its uncertainty and the `--mount` that gives it."""
     x, y, z = found.sd_deg
@@ -197,5 +226,14 @@ def show_estimate(path: Path, found: MountEstimate) -> None:
         "1 SD about body x, y": f"{x:.2f}°, {y:.2f}°",
         "1 SD about body z": f"{z:.2f}°" if z < math.inf else "the heading does not show",
     }
+    if found.accel_bias is not None:
+        x, y = found.accel_bias
+        rows["accelerometer bias, body x, y"] = f"{x:+.2f}, {y:+.2f} m/s²"
     print_table(rows.items())
+    if found.accel_bias is None:
+        text = "the log cannot separate the accelerometer's bias from a tilt of the IMU"
+        say(f"! {text}: the mount takes both together")
+    elif found.levelled:
+        text = "the accelerometer's bias hides a part of the IMU's tilt: the mount takes both together"
+        say(f"! {text}, so that no filter's error rises")
     say(f'{path}: --mount "{mount_text(found.body_from_imu)}"')

@@ -28,7 +28,12 @@ sensor or the autopilot, a dataset whose body frame is the IMU's)."""
 
 IN_BODY_AXES = ("mag",)
 """Sensors beside the IMU that measure a vector in its axes."""
-FORMS = 'body axes as IMU axes ("z,-y,x"), or Euler angles in degrees ("rpy 0 20 90")'
+FORMS = (
+    'body axes as IMU axes ("z,-y,x"), Euler angles in degrees ("rpy 0 20 90"), a quaternion w x y z '
+    "(4 numbers), or a matrix by rows (9 numbers)"
+)
+TOLERANCE = 0.01
+"""A quaternion's length and a matrix' products of columns may differ from a rotation's by this: rounding."""
 OWN_ESTIMATE = "own estimate, which is no independent truth"
 """What a reader says of an attitude by the sensor or the autopilot."""
 
@@ -105,31 +110,52 @@ def mount_matrix(mount: str) -> Array:
     """Rotation from IMU to body axes, (3, 3): body vector = matrix @ IMU vector.
 
     Args:
-        mount: Words separated by commas or spaces: body x, y, z as axes of the IMU, such as "z,-y,x" for an
-            IMU with x up and z forward; or roll, pitch and yaw of the IMU with respect to the body in degrees
-            (intrinsic z-y'-x''), such as "rpy 0 20 90".
+        mount: Words separated by commas or spaces, one of
+            body x, y, z as axes of the IMU, such as "z,-y,x" for an IMU with x up and z forward;
+            roll, pitch and yaw of the IMU with respect to the body in degrees (intrinsic z-y'-x''), such as
+            "rpy 0 20 90";
+            the quaternion (w, x, y, z) from IMU to body axes;
+            the nine numbers of the matrix by rows.
 
     Raises:
-        ValueError: Neither of these, or no rotation.
+        ValueError: None of these, or no rotation.
     """
     words = mount.replace(",", " ").split()
-    if words[:1] == ["rpy"]:
-        try:
-            roll, pitch, yaw = (np.radians(float(word)) for word in words[1:])
-        except ValueError:
-            raise ValueError(
-                f'mount "{mount}": rpy takes roll, pitch and yaw, such as "rpy 0 20 90"'
-            ) from None
-        if not np.isfinite(roll + pitch + yaw):
-            raise ValueError(f'mount "{mount}": roll, pitch and yaw should be finite')
-        return matrix_from_quat(quat_from_euler(roll, pitch, yaw))
-    if sorted(word.lstrip("+-") for word in words) != ["x", "y", "z"]:
-        raise ValueError(f'mount "{mount}": should be {FORMS}')
-    signs = [-1.0 if word.startswith("-") else 1.0 for word in words]
-    matrix = np.diag(signs) @ np.eye(3)[["xyz".index(word[-1]) for word in words]]
+    if words and all(word.lstrip("+-") in ("x", "y", "z") for word in words):
+        axes = {sign + axis: row for axis, one in zip("xyz", np.eye(3), strict=True)
+                for sign, row in (("", one), ("+", one), ("-", -one))}  # fmt: skip
+        matrix = np.array([axes[word] for word in words])
+        if matrix.shape != (3, 3) or abs(np.linalg.det(matrix)) < 0.5:
+            raise ValueError(f'mount "{mount}": three different axes are required, for example "z,-y,x"')
+        return _rotation(matrix, mount)
+    is_euler = words[:1] == ["rpy"]
+    try:
+        numbers = np.array([float(word) for word in words[is_euler:]])
+    except ValueError:
+        raise ValueError(f'mount "{mount}": should be {FORMS}') from None
+    if is_euler:
+        if len(numbers) != 3 or not np.isfinite(numbers).all():
+            raise ValueError(f'mount "{mount}": rpy takes roll, pitch and yaw, such as "rpy 0 20 90"')
+        return matrix_from_quat(quat_from_euler(*np.radians(numbers)))
+    if numbers.size == 4:
+        length = float(np.linalg.norm(numbers))
+        if not abs(length - 1.0) <= TOLERANCE:
+            raise ValueError(f"mount {mount}: a quaternion of length {length:.3g}, and a rotation's is 1")
+        return matrix_from_quat(numbers / length)
+    if numbers.size != 9:
+        raise ValueError(f'mount "{mount}": {numbers.size} numbers; should be {FORMS}')
+    return _rotation(numbers.reshape(3, 3), mount)
+
+
+def _rotation(matrix: Array, mount: str) -> Array:
+    """The rotation next to a matrix of rounded numbers."""
+    error = np.abs(matrix @ matrix.T - np.eye(3)).max() if np.isfinite(matrix).all() else np.inf
+    if error > TOLERANCE:
+        text = f"no rotation: matrix times its transpose is off the identity by {error:.2g}"
+        raise ValueError(f"mount {mount}: {text}")
     if np.linalg.det(matrix) < 0:
-        raise ValueError(f'mount "{mount}": a mirror image, not a rotation: turn one sign')
-    return matrix
+        raise ValueError(f"mount {mount}: a mirror image, not a rotation: turn one sign")
+    return matrix if error == 0.0 else np.asarray(Rotation.from_matrix(matrix).as_matrix())
 
 
 def mount_text(body_from_imu: Array) -> str:

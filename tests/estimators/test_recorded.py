@@ -121,18 +121,21 @@ def test_a_bias_is_removed_where_it_is_significant_and_the_report_says_where_not
     assert "nothing is removed" in write_log_report(tmp_path / "r.html", alone).read_text()
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.02])
-def test_no_filter_has_a_larger_error_with_the_estimated_mount(make_flights, noise):
+@pytest.mark.parametrize(("bias", "noise"), [(-0.3, 0.0), (0.0, 0.02), (0.3, 0.02)])
+def test_no_filter_has_a_larger_error_with_the_estimated_mount(make_flights, bias, noise):
     flight = make_flights(1, 40.0, seed=2, noise=0.0)
     gyro, accel, quat = (flight[name].to_numpy()[0] for name in ("gyro", "accel", "quat"))
     tilted = mount_matrix("rpy 2 0 0")
     shake = quat_from_rotvec(np.random.default_rng(0).normal(0.0, noise, gyro.shape))
     time = np.arange(len(gyro)) / 200.0
     mine = Recording(
-        "mine", "x", time, gyro @ tilted, accel @ tilted, "mocap", time,
+        "mine", "x", time, gyro @ tilted, accel @ tilted + [0.0, bias, 0.0], "mocap", time,
         quat_multiply(quat, shake),
     )  # fmt: skip
     found = estimate_mount(resample(mine)[0])
+    assert found.accel_bias is not None
+    uncertain = 0.1 + 2 * 9.81 * np.radians(found.sd_deg[0])
+    assert found.levelled or np.abs(found.accel_bias - [0.0, bias]).max() < uncertain
     logs = {"without": mine, "with": mounted(mine, found.body_from_imu)}
     scores = score_logs([resample(replace(each, name=name))[0] for name, each in logs.items()], FILTERS)
     error = scores.on_logs().loc[list(FILTERS)]
