@@ -185,7 +185,7 @@ def _rosbag2(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
         for sensor in (imu and imu.gyro, imu and imu.accel)
     )
 
-    def add(bag: Any, connection: Any, time: int, frame: str, *fields: object) -> None:
+    def add(bag: Any, connection: Any, time: int, frame: str, *fields: Any) -> None:
         stamp = message["builtin_interfaces/msg/Time"](*divmod(time, 1_000_000_000))
         made = message[connection.msgtype](message["std_msgs/msg/Header"](stamp, frame), *fields)
         bag.write(connection, time, store.serialize_cdr(made, connection.msgtype))

@@ -3,6 +3,7 @@
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,12 +43,12 @@ def _rows(values: ArrayLike | None, width: int) -> Array:
     return np.ascontiguousarray(array.T if array.shape[0] == width != array.shape[-1] else array)
 
 
-def _hdf5(path: Path) -> Mapping[str, ArrayLike]:
+def _hdf5(path: Path) -> Mapping[str, Any]:
     import h5py
 
     with h5py.File(path) as file:
-        arrays = {name: file[name][()] for name in file if isinstance(file[name], h5py.Dataset)}
-        return {**{name: file.attrs[name] for name in file.attrs}, **arrays}
+        arrays = {str(name): each[()] for name, each in file.items() if isinstance(each, h5py.Dataset)}
+        return dict(file.attrs) | arrays
 
 
 def _mat(path: Path) -> Mapping[str, ArrayLike]:

@@ -40,7 +40,7 @@ def read_rosbag(path: Path, imu: str | None = None, truth: str | None = None) ->
             pose_topic = _topic(reader, path, truth, list(POSES))
             wanted = [each for each in reader.connections if each.topic in (imu_topic, pose_topic)]
             for connection, received, raw in reader.messages(connections=wanted):
-                message = reader.deserialize(raw, connection.msgtype)
+                message: Any = reader.deserialize(raw, connection.msgtype)
                 stamp = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9 or received * 1e-9
                 if connection.topic != imu_topic:
                     poses.append((stamp, *_pose(message, connection.msgtype)))
