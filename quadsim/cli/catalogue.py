@@ -1,12 +1,10 @@
-"""The command `list`: shipped names, each with a description."""
+"""The command `list`: shipped names, and the user's own TOML files."""
 
-import itertools
 import re
-import tomllib
 from collections.abc import Iterable
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import typer
 from rich.table import Table
@@ -48,6 +46,15 @@ HOW = {
 CASCADED = "Attitude and body rate in cascade; gains designed for phase margins."
 
 
+class Item(NamedTuple):
+    """A row of the list."""
+
+    name: str
+    description: str
+    path: str = ""
+    """Path of the user's own file; empty for a shipped name."""
+
+
 def list_names(
     kind: Annotated[
         Kind, typer.Argument(metavar="KIND", help=f"What to list: {', '.join(Kind)}.", show_choices=False)
@@ -55,49 +62,71 @@ def list_names(
 ) -> None:
     """List the names of scenarios, estimators, vehicles and so on, each with a description.
 
+    Your own TOML files are listed too, if they are in a folder with the name of the kind, such as scenarios/.
+
     Example: quadsim list scenarios
     """
     table = Table("name", "what it is", box=None, pad_edge=False)
-    for name, description in descriptions(kind).items():
-        table.add_row(name, description)
+    for item in items(kind):
+        table.add_row(item.path or item.name, item.description)
     console.print(table)
     console.print(f"Use: {HOW[kind]}", style="dim", markup=False, highlight=False)
 
 
-def descriptions(kind: Kind) -> dict[str, str]:
-    """Shipped names of a kind, and what each is."""
-    from estimators.networks.weights_file import shipped_controllers, shipped_names
-    from estimators.registry import SHIPPED
-
-    from ..config.toml import preset_names, shipped_folder
-
+def items(kind: Kind) -> list[Item]:
+    """All names of a kind, shipped ones first."""
     match kind:
         case Kind.ESTIMATORS:
-            return {name: each.description for name, each in SHIPPED.items()}
+            from estimators.registry import SHIPPED
+
+            return [Item(name, each.description) for name, each in SHIPPED.items()]
         case Kind.CONTROLLERS:
-            return {"cascaded": CASCADED} | _weights(shipped_controllers())
+            from estimators.networks.weights_file import shipped_controllers
+
+            return [Item("cascaded", CASCADED), *_weights(shipped_controllers())]
         case Kind.WEIGHTS:
+            from estimators.networks.weights_file import shipped_controllers, shipped_names
+
             return _weights([*shipped_names(), *shipped_controllers()])
-        case _:
-            return {name: _summary(shipped_folder(kind) / f"{name}.toml") for name in preset_names(kind)}
+    from ..config.toml import preset_names, shipped_folder
+
+    root = shipped_folder(kind)
+    shipped = [Item(name, summary(root / f"{name}.toml")) for name in preset_names(kind)]
+    own = sorted(path for path in Path(kind).glob("*.toml") if not _ships(path, root))
+    return shipped + [Item(path.stem, summary(path), path.as_posix()) for path in own]
 
 
-def _weights(names: Iterable[str]) -> dict[str, str]:
-    """First sentence of the model card of each, after its title."""
-    cards = {card.stem: card.read_text("utf-8") for card in ASSETS.glob("*/*.md")}
-    return {name: _first_sentence(cards[name].split("\n\n")[1]) for name in names}
+def _weights(names: Iterable[str]) -> list[Item]:
+    cards = {card.stem: card for card in ASSETS.glob("*/*.md")}
+    return [Item(name, card_summary(cards[name].read_text("utf-8"))) for name in names]
 
 
-def _summary(file: Path) -> str:
+def summary(file: Path) -> str:
     """Description of a TOML file: its key `description` or `source`, or else its first comment."""
-    text = file.read_text(encoding="utf-8")
-    data = tomllib.loads(text)
+    from ..config.toml import read_toml
+
+    try:
+        text = file.read_text(encoding="utf-8")
+        data = read_toml(text, file.name)
+    except (OSError, ValueError) as error:
+        return f"cannot be read: {error}"
     for key in ("description", "source"):
         if isinstance(data.get(key), str):
             return data[key]
-    comments = itertools.takewhile(lambda line: line.startswith("#"), text.splitlines())
-    return _first_sentence(" ".join(line.strip("# ") for line in comments))
+    head = re.match(r"(?:#.*\n)*", text)
+    return first_sentence(" ".join(line.strip("# ") for line in head[0].splitlines()) if head else "")
 
 
-def _first_sentence(text: str) -> str:
-    return re.split(r"(?<=[.!?])\s", " ".join(text.split()), maxsplit=1)[0]
+def card_summary(text: str) -> str:
+    """First sentence of a model card, after the title."""
+    return first_sentence(" ".join(text.split("\n\n")[1].split()))
+
+
+def first_sentence(text: str) -> str:
+    """The first sentence of a text."""
+    return re.split(r"(?<=[.!?])\s", text, maxsplit=1)[0]
+
+
+def _ships(path: Path, root: Path) -> bool:
+    """Whether a file is a shipped one, found again from the repository's root."""
+    return path.resolve().parent == root.resolve()
