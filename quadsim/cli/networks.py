@@ -9,7 +9,6 @@ import typer
 from ..runs.console import Bar, progress_bar
 from ..runs.console import output as console
 from ..runs.pool import process_count
-from ..runs.record import command_line
 from .options import (
     Fields,
     Initial,
@@ -170,6 +169,11 @@ def tune(
     from ..dataset.reading import open_dataset
 
     datasets = [open_dataset(path) for path in data]
+    options = [f"--data {path}" for path in data]
+    options += [f"--particles {particles} --iterations {iterations}"]
+    options += [f"--flights {flights}"] * (flights is not None)
+    options += [f"--pieces {pieces}"] * (pieces > 1)
+    options += [f"--initial {initial} --search {search} --seed {seed} --out {out}"]
     for name in tunable() if estimator == "all" else [estimator]:
         with progress_bar(f"tune {name}", "iterations") as bar:
 
@@ -182,7 +186,7 @@ def tune(
                 SearchSettings(search, particles, iterations, seed),
                 FlightSelection(flights, pieces, initial),
                 workers=process_count(None, particles),
-                command=command_line(),
+                command=f"quadsim tune --estimator {name} {' '.join(options)}",
                 progress=progress,
             )
         write_tuning(out, name, tuned, f"Tuned on {', '.join(map(str, data))} (quadsim tune)")
