@@ -36,9 +36,8 @@ smoothed over `FELT_S` and each axis clipped to 1; rates in units of `FELT_RATE`
 FELT_S = 0.05
 FELT_RATE = 4.0
 """[rad/s]"""
-SLOWEST, SLOW, FAST, QUICK = (4096 / (k * 800) for k in (1, 3, 17, 51))
-"""Time constants of gates, which are decays of the chip with four steps a sample: 5.1 to 0.1 s. An unknown
-attitude is found within the last: in a flight that begins with a dash, the force says level from then on."""
+SLOWEST, SLOW, FAST = 4096 / 800, 4096 / (3 * 800), 4096 / (17 * 800)
+"""Time constants of gates, which are decays of the chip with four steps a sample [s]."""
 SMOOTH_S = 0.025
 """Time constant of innovations, τ_e, which smooths their spikes [s]."""
 TAU_S = 1.5
@@ -98,12 +97,12 @@ def untrained(vectors: int = 4, gates: int = 8, seed: int = 0, spread: float = 0
         gate=np.zeros((gates, FELT)),
         level=np.zeros(gates),
         onset=np.zeros(gates),
-        tau=np.where(np.arange(gates) % 2, SLOW, QUICK),
+        tau=np.where(np.arange(gates) % 2, SLOW, FAST),
         pairs=np.array([[OUTPUT, 6]]),
         start=np.ones(vectors),
         scale=np.ones(vectors),
     )
-    p.tau[:8] = SLOW, SLOW, QUICK, QUICK, FAST, FAST, SLOWEST, FAST
+    p.tau[:8] = SLOW, SLOW, FAST, FAST, FAST, FAST, SLOWEST, FAST
     p.start[2] = 0
     p.mix[:] += 0.01 * spread * rng.standard_normal(p.mix.shape)
     p.give[:] += 0.01 * spread * rng.standard_normal(p.give.shape)
@@ -120,10 +119,10 @@ def untrained(vectors: int = 4, gates: int = 8, seed: int = 0, spread: float = 0
         p.mix[:, m, m] -= 1 / tau
         p.pull[:, m] = 1 / tau
     # what is read is pulled to the first vector under large forces, else to a slower one; both fast at first
-    p.give[[0, 1, 3], :, OUTPUT] = np.array([1 / TAU_S, 1.0, 24.0])[:, None]
+    p.give[[0, 1, 3], :, OUTPUT] = np.array([1 / TAU_S, 1.0, 8.0])[:, None]
     p.take[[0, 1, 3], :, OUTPUT] = -1.0
     p.take[[0, 3], :, 0] = p.take[1, :, 3] = 1.0
-    p.give[2, :, 0], p.take[2, :, 0], p.read[2] = 24.0, -1.0, 1.0
+    p.give[2, :, 0], p.take[2, :, 0], p.read[2] = 8.0, -1.0, 1.0
     p.gate[0, 0], p.level[0], p.gate[1, 0], p.level[1] = 1.2, -0.2, -1.2, 1.2
     p.onset[[2, 3]] = 1.0
     p.gate[4, 2], p.gate[5, 1] = 0.7, 1.0
