@@ -8,10 +8,21 @@ from estimators.circuit.chip import place, populations
 from estimators.circuit.estimator import SCALING, Level, circuit_estimator
 from estimators.circuit.file import CircuitConfig, is_circuit, load_circuit, save_circuit
 from estimators.circuit.floats import new_trace, run_floats, stepped
-from estimators.circuit.parameters import GRAVITY, RATE_HZ, Parameters, quantised, untrained
+from estimators.circuit.parameters import (
+    FAST,
+    GRAVITY,
+    QUICK,
+    RATE_HZ,
+    Parameters,
+    quantised,
+    untrained,
+    with_quick_start,
+)
 from estimators.circuit.records import ANGLE_DIGITS, FORCE_DIGITS, INNOVATION, ONE, RING
 from estimators.circuit.spikes import SpikingCircuit
 from estimators.networks.network import NetworkEstimator
+from quadsim.flight.mission import Mission
+from quadsim.flight.scenario import changed, load_scenario
 from quadsim.imu import load_imu, simulate_imu
 from quadsim.rotation import quat_from_rotvec, quat_rotate_inverse
 
@@ -45,6 +56,27 @@ def free(p):
     """The circuit without pulls: vectors turn and nothing else."""
     zero = {name: 0 * getattr(p, name) for name in ("mix", "pull", "give", "take", "read", "learn")}
     return p._replace(**zero, start=np.ones_like(p.start))
+
+
+def test_a_quick_start_closes_fast_gates_that_are_open_at_the_start_and_nothing_else():
+    p = untrained()
+    quick = with_quick_start(p)
+    differ = quick.tau != p.tau
+    assert differ.tolist() == [gate in (2, 3) for gate in range(8)]
+    assert quick.tau[2] == QUICK < FAST / 4
+    assert all(np.array_equal(getattr(p, each), getattr(quick, each)) for each in p._fields if each != "tau")
+
+
+@pytest.mark.parametrize("scenario", ["hover", "wind-8"])
+def test_a_vehicle_that_begins_with_a_dash_is_not_turned_over(scenario):
+    """In a dash the force says level, whatever the tilt; nothing says how the vehicle was tilted before."""
+    start = {"speed": 5.0, "known_attitude": False}
+    flown = changed(load_scenario(scenario), {"start": start})
+    mission = Mission(flown, create(SHIPPED, RATE_HZ), 4, RATE_HZ)
+    mission.begin(np.random.SeedSequence(5).spawn(4))
+    for _ in range(600):
+        mission.step()
+    assert not mission.cause.any()
 
 
 @pytest.mark.parametrize(

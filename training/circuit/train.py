@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from estimators.circuit.estimator import circuit_estimator
 from estimators.circuit.file import CircuitConfig, load_circuit, save_circuit
 from estimators.circuit.floats import run_floats, stepped
-from estimators.circuit.parameters import LEARNT, OUTPUT, RATE_HZ, Parameters, untrained
+from estimators.circuit.parameters import LEARNT, OUTPUT, RATE_HZ, Parameters, untrained, with_quick_start
 from estimators.metrics import absolute_error
 from quadsim.dataset.figures import STYLE
 from quadsim.runs.files import alone, save_figure, write_csv, write_whole
@@ -108,7 +108,7 @@ def train_circuit(run: CircuitRun, out: Path, progress: Progress | None = None) 
             write_csv(out / "log.csv", state.rows)
             if progress:
                 progress(state.rows[-1], run)
-        p = scaled(_with(_first(run), state.slow), streams)
+        p = with_quick_start(scaled(_with(_first(run), state.slow), streams))
         errors = {name: validation_error(p, name) for name in run.validation}
         note = {"config": json.loads(run.model_dump_json()), "commit": commit(), "vehicles": vehicles} | sizes
         note |= {"validation_deg": {Path(name).stem: round(value, 3) for name, value in errors.items()}}
