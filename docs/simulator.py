@@ -12,7 +12,7 @@ from quadsim.control.gains import loop_margins
 from quadsim.dataset.figures import plot
 from quadsim.dataset.generation import generate
 from quadsim.flight.recipe import load_recipe
-from quadsim.imu.spec import Sensor, load_imu
+from quadsim.imu.spec import ImuSpec, Sensor, load_imu
 from quadsim.imu.stream import simulate_imu
 from quadsim.plant import Plant
 from quadsim.rotation import quat_conjugate, quat_multiply
@@ -37,7 +37,12 @@ def allan_rows() -> list[str]:
     zero = np.zeros((8, steps, 3))
     for preset in ("adis16448", "px4-mini"):
         spec = load_imu(preset)
-        readings = simulate_imu(spec.only("noise", "random_walk"), zero, zero, RATE, seed=1)
+        white = (
+            Sensor(noise=each.noise, random_walk=each.random_walk, time_constant=each.time_constant)
+            for each in (spec.gyro, spec.accel)
+        )
+        bare = ImuSpec(**dict(zip(("gyro", "accel"), white, strict=True)))
+        readings = simulate_imu(bare, zero, zero, RATE, seed=1)
         for name, sensor, reading in zip(("gyro", "accel"), (spec.gyro, spec.accel), readings, strict=True):
             each = reading.transpose(0, 2, 1).reshape(-1, steps)
             found = [
