@@ -295,8 +295,10 @@ def test_console_and_report_have_the_tracking_error_beside_that_of_the_estimate(
         ("3.00", "6.00"),
     ]
     columns = {str(c.header): [str(cell) for cell in c.cells] for c in standings_table(judged).columns}
-    for heading in judged.standings[0].texts:
-        assert columns[heading] == [standing.texts[heading] for standing in judged.standings]
+    texts = {key: [each.texts[key] for each in judged.standings] for key in judged.standings[0].texts}
+    assert not any(texts.pop("note"))  # without a word, it has no column
+    del columns["estimator"]
+    assert columns == texts
 
 
 def test_a_network_on_an_airframe_that_it_was_not_trained_on_is_warned_of():
