@@ -62,7 +62,8 @@ def list_names(
 ) -> None:
     """List the names of scenarios, estimators, vehicles and so on, each with a description.
 
-    Your own TOML files are listed too, if they are in a folder with the name of the kind, such as scenarios/.
+    Your own TOML files are listed too, if they are in a folder of the working directory named after the
+    kind, such as scenarios/.
 
     Example: quadsim list scenarios
     """

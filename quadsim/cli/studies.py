@@ -36,7 +36,7 @@ def evaluate(
     tuning: Annotated[
         str | None,
         typer.Option(
-            help="Filter parameters: a shipped name or a TOML file; default: those for the dataset's vehicle."
+            help="Filter parameters: a shipped name or a TOML file; default: those for the vehicle, and for logs the Hummingbird's."
         ),
     ] = None,
     vehicle: Annotated[

@@ -29,12 +29,13 @@ def read_broad(path: Path) -> Recording:
     if found["quat"] is None:
         return Recording(path.stem, "IMU's arrays", time, gyro, acc)
     valid = np.asarray(content.get("valid", np.ones(steps)), bool).ravel()
+    trial = "opt_quat" in content
     return Recording(
-        path.stem, "BROAD trial", time, gyro, acc,
-        truth="opt_quat: OptiTrack", truth_time=time, truth_axes="imu",
+        path.stem, "BROAD trial" if trial else "IMU's arrays", time, gyro, acc,
+        truth="opt_quat: OptiTrack" if trial else "quat", truth_time=time, truth_axes="imu",
         quat=np.where(valid[:, None], _rows(found["quat"], 4), np.nan),
         marked=np.asarray(content.get("movement", np.ones(steps)), bool).ravel(),
-        notes=("hand-moved, not flown",),
+        notes=("hand-moved, not flown",) if trial else (),
     )  # fmt: skip
 
 
