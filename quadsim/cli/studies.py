@@ -36,7 +36,8 @@ def evaluate(
     tuning: Annotated[
         str | None,
         typer.Option(
-            help="Filter parameters: a shipped name or a TOML file; default: those for the vehicle, and for logs the Hummingbird's."
+            help="Filter parameters: a shipped name or a TOML file; default: those for the vehicle, and for "
+            "logs the Hummingbird's."
         ),
     ] = None,
     vehicle: Annotated[
