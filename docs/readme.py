@@ -91,7 +91,7 @@ def values(page: Page, given: Namespace) -> Parts:
             "RMS inclination error on real recordings ([real logs](docs/logs.md)).",
             "- The initial attitude is unknown. Nothing was trained or tuned on RotorPy, BROAD or Phantom 4, "
             "but the",
-            "  recipe of Att-SNN's training was chosen with them in view ([circuit](docs/circuit.md)).",
+            "  recipe of Att-SNN's training and the structure of `imm` were chosen with them in view.",
             "- *Always level* estimates zero roll and pitch. A network with output weights of zero",
             "  (*silenced*) does the same, so the difference is what the network contributes.",
         ]
