@@ -21,11 +21,12 @@ def identify(
         ),
     ] = "hummingbird",
     out: Annotated[
-        Path,
+        Path | None,
         typer.Option(
-            help="TOML file to write: the vehicle, or with --still the IMU. A picture gets the same name."
+            help="TOML file to write: the vehicle (default: mine.toml), or with --still the IMU (default: "
+            "my-imu.toml). A picture gets the same name."
         ),
-    ] = Path("mine.toml"),
+    ] = None,
     rate: Annotated[
         float, typer.Option(min=110, max=2000, help="Samples per second to which logs are resampled.")
     ] = 500.0,
@@ -54,8 +55,8 @@ def identify(
     if still:
         if len(files) > 1:
             raise ValueError(f"--still is of one log, not of {len(files)}")
-        calibrate_imu(files[0], out, mount, imu)
+        calibrate_imu(files[0], out or Path("my-imu.toml"), mount, imu)
         return
     from ..identify.report import identify_files
 
-    identify_files(files, vehicle, out, rate, mount)
+    identify_files(files, vehicle, out or Path("mine.toml"), rate, mount)

@@ -52,4 +52,6 @@ def calibrate_imu(file: Path, out: Path, mount: str | None, imu: str | None) -> 
     from ..logs import read_recording
     from ..logs.allan import calibrate, show_calibration
 
+    if out.suffix != ".toml" or out.absolute() == file.absolute():
+        raise ValueError(f"{out}: an IMU file ends in .toml, and is not the log")
     show_calibration(calibrate(read_recording(file, mount=mount, imu=imu)), out)

@@ -64,7 +64,6 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         self._level: Level = level
         self._index = LEVELS.index(level)
         self._take(self._mission(self._scenario))
-        self.scale = action_scale(level, self.mission.vehicle)
         self.single_observation_space = OBSERVATION_SPACE
         self.single_action_space = Box(-1.0, 1.0, self.scale.shape, np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -124,6 +123,7 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         return True
 
     def _take(self, mission: Mission) -> None:
+        self.scale = action_scale(self._level, mission.vehicle)
         self.mission, self._hover_rotor_vel = mission, mission.vehicle.hover_rotor_vel
         self._hidden = hidden_dtype(len(mission.vehicle.rotors))
 
@@ -218,4 +218,4 @@ def _masked(hidden: NDArray[np.void]) -> dict[str, Any]:
 def _whole(seed: int | None) -> int | None:
     if seed is not None and (isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0):
         raise ValueError(f"seed = {seed!r}: a whole number from 0 on is allowed")
-    return seed
+    return None if seed is None else int(seed)

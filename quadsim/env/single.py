@@ -155,7 +155,7 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
             ValueError: An unknown option, or a value that it cannot have.
         """
         observation, info = self._batch.reset(seed=seed, options=options)
-        super().reset(seed=seed)
+        super().reset(seed=None if seed is None else int(seed))
         return observation[0], {key: rows[0] for key, rows in info.items() if key[0] != "_"}
 
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:

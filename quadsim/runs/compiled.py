@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cache, cached_property
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
 
 import numba
@@ -117,12 +118,19 @@ class StoredCode(caching.FunctionCache):
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Load a variant; None if it has to be compiled, with the lock held."""
-        found = super().load_overload(sig, target_context)
+        found = self._load(sig, target_context)
         if found is None:
             with suppress(Timeout, OSError):
                 self.lock.acquire()
-            found = super().load_overload(sig, target_context)
+            found = self._load(sig, target_context)
         return found
+
+    def _load(self, sig: Any, target_context: Any) -> Any:
+        try:
+            return super().load_overload(sig, target_context)
+        except (EOFError, UnpicklingError):  # a file that was cut short, by a full disk or a loss of power
+            self.flush()
+            return None
 
     def unlocking(self, compile_variant: Callable[..., Any]) -> Callable[..., Any]:
         """Numba's `Dispatcher.compile`, which loads or compiles a variant; the lock is free at its end."""

@@ -18,7 +18,7 @@ from .results import Results, Total, totals_of
 FEW = 5
 """Flights of each estimator in a scenario below which the headline warns that they are few."""
 MOST_NAMED = 3
-"""Scenarios that the headline names; more are counted."""
+"""Scenarios, and estimators that tie on a condition, that the headline names; more are counted."""
 
 
 class Measure(NamedTuple):
@@ -240,7 +240,7 @@ def _by_condition(
             unfit.append(condition.clause)
             continue
         first = found.best[0]
-        named = listed([said(place.name, measure) for place in found.best], "or")
+        named = _first_of([said(place.name, measure) for place in found.best])
         named += "" if first.whole else f" ({first.lost})"
         names[named] = None
         clauses.append(f"{named} {condition.clause}")
@@ -298,6 +298,13 @@ def _alone(name: str, own: Total, measure: Measure) -> str:
     of_those = " in the others" if own.crashes else ""
     error = "" if own.crashes == own.flights else f", {measure.name} {error}{of_those}"
     return f"{name}: {crashes} {own.flights} flights{error}{failed}."
+
+
+def _first_of(names: Sequence[str]) -> str:
+    """Those that tie, the first of many; the line of a condition names all."""
+    if len(names) <= MOST_NAMED + 1:
+        return listed(names, "or")
+    return listed([*names[:MOST_NAMED], f"one of {len(names) - MOST_NAMED} others that do not differ"], "or")
 
 
 def _count(count: int, what: str) -> str:

@@ -11,8 +11,9 @@ from gymnasium.utils.env_checker import check_env
 import estimators
 import quadsim  # noqa: F401  registers the environment
 from quadsim.control.records import LEVELS
+from quadsim.env.single import QuadrotorEnv
 from quadsim.env.spaces import ACTION_SCALE, OBSERVATION_LIMIT
-from quadsim.flight.scenario import Crash, Scenario, Start, load_scenario
+from quadsim.flight.scenario import Crash, Scenario, Start, changed, load_scenario
 from quadsim.pictures.render import Scene
 from quadsim.trajectory.specs import Hover
 from quadsim.vehicle import load_vehicle
@@ -374,6 +375,18 @@ def test_information_of_a_batch_has_a_row_and_a_mask_for_every_vehicle():
     single, one = gymnasium.make(ID, scenario="hover"), None
     _, one = single.reset(seed=2)
     np.testing.assert_array_equal(info["position"][2], one["position"])
+
+
+def test_an_action_means_the_speeds_of_the_vehicle_that_flies():
+    """Also after a reset to another vehicle with as many rotors."""
+    other = changed(load_scenario("hover"), {"vehicle": "crazyflie"})
+    moved, made = (QuadrotorEnv(None, each, level="rotor") for each in ("hover", other))
+    moved.reset(seed=0)
+    moved.reset(seed=np.int64(1), options={"scenario": other})
+    made.reset(seed=1)
+    for _ in range(3):
+        ours, theirs = (env.step(np.full(4, 0.5))[0] for env in (moved, made))
+    np.testing.assert_array_equal(ours, theirs)
 
 
 def test_reset_flies_another_scenario_or_wind_until_the_next_reset():

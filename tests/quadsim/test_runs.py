@@ -243,6 +243,17 @@ def test_an_index_of_other_source_is_not_unpickled():
     assert njit(cache=True)(double)(4.0) == 8.0
 
 
+def test_an_index_that_was_cut_short_is_written_anew():
+    def triple(x):
+        return 3 * x
+
+    index = Path(njit(cache=True)(triple)._cache._cache_file._index_path)
+    index.parent.mkdir(parents=True, exist_ok=True)
+    index.write_bytes(b"")
+    assert njit(cache=True)(triple)(2.0) == 6.0
+    assert index.stat().st_size > 0
+
+
 def test_processes_that_start_together_compile_a_function_once(tmp_path):
     script = tmp_path / "shared.py"
     script.write_text(
