@@ -85,7 +85,7 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         super().reset(seed=_whole(seed))
         afresh = self._choose(options) or seed is not None or not self._random
         if seed is not None or not self._random:
-            first = int(self.np_random.integers(2**31)) if seed is None else seed
+            first = int(self.np_random.integers(2**31) if seed is None else seed)
             self._random = [np_random(first + i)[0] for i in range(self.num_envs)]
         every = np.arange(self.num_envs)
         if afresh:
