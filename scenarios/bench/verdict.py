@@ -240,7 +240,8 @@ def _by_condition(
             unfit.append(condition.clause)
             continue
         first = found.best[0]
-        named = _first_of([said(place.name, measure) for place in found.best])
+        alike = sorted(found.best, key=lambda place: place.error)
+        named = _first_of([said(place.name, measure) for place in alike])
         named += "" if first.whole else f" ({first.lost})"
         names[named] = None
         clauses.append(f"{named} {condition.clause}")
@@ -301,7 +302,7 @@ def _alone(name: str, own: Total, measure: Measure) -> str:
 
 
 def _first_of(names: Sequence[str]) -> str:
-    """Those that tie, the first of many; the line of a condition names all."""
+    """Those that tie, the best of many; the line of a condition names all."""
     if len(names) <= MOST_NAMED + 1:
         return listed(names, "or")
     return listed([*names[:MOST_NAMED], f"one of {len(names) - MOST_NAMED} others that do not differ"], "or")
