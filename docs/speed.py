@@ -1,6 +1,7 @@
 """The page speed.md: `OMP_NUM_THREADS=1 python docs/pages.py speed`.
 
-It measures speed on one thread, beside other libraries: `pip install crazyflow rotorpy`.
+It measures speed on one thread, beside other libraries: `pip install crazyflow rotorpy`. crazyflow needs
+`SCIPY_ARRAY_API=1`.
 """
 
 import os
@@ -12,10 +13,26 @@ from importlib.util import find_spec
 from pages import ROOT, Page, Parts, row
 
 PEERS = ("crazyflow", "rotorpy", "norse", "snntorch")
+STATED = {
+    "bulk: controller, IMU, recording": ("over_raw", 0.25),
+    "environment, n = 1": ("over_raw", 1.4),
+    "environment, n = 64": ("over_raw", 0.3),
+    "imm": ("run_over_vqf", 2.0),
+}
+"""What a job may take, over a peer; the page is not made if it takes more than half as much again."""
 
 
 def table(rows: Sequence[dict[str, object]]) -> list[str]:
-    """Rows of a benchmark."""
+    """Rows of a benchmark.
+
+    Raises:
+        AssertionError: A stated ratio is missed by more than half.
+    """
+    for each in rows:
+        name = str(next(iter(each.values())))
+        if name in STATED:
+            column, most = STATED[name]
+            assert float(str(each[column])) <= 1.5 * most, f"{name}: {column} {each[column]}, stated: {most}"
     return [row(*each.values()) for each in rows]
 
 
