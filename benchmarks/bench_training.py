@@ -42,8 +42,7 @@ def parameters(seed: int = 0) -> Weights:
     scales = (0.12, 0.03, 0.01, 0.1)
     w = [quantise_weights(torch.tensor(rng.normal(0, k, s))) for s, k in zip(shapes, scales, strict=True)]
     tau = [quantise_decay(torch.tensor(rng.uniform(0.5, 0.98, k))) for k in (*[HIDDEN] * 4, 1, 1)]
-    none = torch.zeros(HIDDEN, 0), torch.zeros(0)
-    return Weights(*(x.float().requires_grad_() for x in (*w, none[0], *tau, none[1])))
+    return Weights(*(x.float().requires_grad_() for x in (*w, *tau)))
 
 
 def inputs(n: int, steps: int) -> Tensor:
