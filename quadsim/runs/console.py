@@ -20,7 +20,7 @@ from rich.table import Table
 from rich.text import Text
 
 output = Console(
-    width=None if sys.stdout.isatty() else 110, emoji=False
+    width=None if sys.stdout.isatty() else 160, emoji=False
 )  # a file or a pipe has no width of its own
 
 
