@@ -1,7 +1,7 @@
 """Speed of filters and networks: `python -m benchmarks.bench_filters`.
 
 One run on one thread; each number is the best of several repetitions. Peers are VQF's C++ in one call, the
-package ahrs, and PyTorch's GRU. The time of one update of one vehicle is in docs/loihi.md.
+package ahrs, and PyTorch's GRU. The time of one update of one vehicle is in docs/chip.md.
 """
 
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""The page circuit.md: the spiking circuit that follows turns, part by part, at home and elsewhere."""
+"""The spiking circuit that follows turns, part by part, at home and elsewhere."""
 
 from argparse import Namespace
 from collections.abc import Callable, Mapping
@@ -8,7 +8,7 @@ import numpy as np
 from foreign import AIRFRAMES, foreign
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from pages import Page, Parts, row
+from pages import Part, Values, row
 from recordings import BROAD, PHANTOM4, recordings, score
 from simulated import estimate_of, simulated
 
@@ -176,7 +176,7 @@ def turned() -> tuple[Array, Array, Array, dict[str, Array]]:
     return fine, np.repeat(rate, steps), both, {name: np.array(each) for name, each in shown.items()}
 
 
-def turn(page: Page) -> None:
+def turn(part: Part) -> None:
     """Draw the spikes of a turn, one by one."""
     t, rate, roll, spikes = turned()
     figure = Figure(figsize=(9, 7), layout="constrained")
@@ -207,7 +207,7 @@ def turn(page: Page) -> None:
     bottom.plot(t, np.degrees(roll[:, 0]), "--", label="true")
     bottom.set(ylabel="roll [°]", xlabel="time [s]", xlim=(0, 1.2), ylim=(-15, 110))
     bottom.legend(frameon=False, loc="upper left")
-    page.save(figure, "circuit-turn.png", dpi=120)
+    part.save(figure, "circuit-turn.png", dpi=120)
 
 
 def neurons() -> list[str]:
@@ -243,7 +243,7 @@ def by_steps(data: Path) -> list[str]:
     return rows
 
 
-def values(page: Page, given: Namespace) -> Parts:
+def values(part: Part, given: Namespace) -> Values:
     """Measure everything, and draw."""
     home = load_flights([simulated("train", given.data)], 8)
     made, rows, costs = estimators(home), [], {}
@@ -255,7 +255,7 @@ def values(page: Page, given: Namespace) -> Parts:
             cells = [f"{np.nanmean(errors[each]):.2f}" for each in made]
             rows.append(row(name, *cells, interval(errors["spikes"])))
             costs[name] = float(np.nanmean(errors["spikes"]) - np.nanmean(errors["floats"]))
-    turn(page)
+    turn(part)
     worst = max(costs, key=lambda name: costs[name])
     training = load_circuit(NAME).config.training
     return {

@@ -1,4 +1,4 @@
-"""Fly the suite, long flights and breaking points, for closed-loop.md: `python docs/pages.py closed-loop`.
+"""Fly the suite, long flights and breaking points, for results.md: `python docs/pages.py closed-loop`.
 
 A run that is cut short resumes, as `quadsim bench` does.
 """
@@ -12,7 +12,7 @@ import matplotlib
 import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from pages import Page, Parts, row
+from pages import Part, Values, row
 
 from estimators.registry import NETWORKS
 from quadsim.control.gains import design, loop_margins
@@ -142,7 +142,7 @@ def loop_parts() -> tuple[list[str], list[str]]:
     ]
 
 
-def values(page: Page, given: Namespace) -> Parts:
+def values(part: Part, given: Namespace) -> Values:
     """Measure everything, and draw."""
     names = default_estimators()
     results = fly("suite", SUITE, names)
@@ -152,7 +152,7 @@ def values(page: Page, given: Namespace) -> Parts:
     publish(OUT / "suite", results)
     judged, (loop, price) = verdict(results), loop_parts()
     ranked = [each.estimator for each in judged.standings if each.estimator not in results.unranked]
-    page.save(heat_map(results, ranked), "heat-map.png", colours=128)
+    part.save(heat_map(results, ranked), "heat-map.png", colours=128)
     size = f"{len(results.scenarios)} scenarios × {len(names)} estimators × {SEEDS} seeds"
     return {
         "verdict": judged.headline,

@@ -1,4 +1,4 @@
-"""Fly the spiking controllers beside the cascade: `python docs/pages.py control` writes control.md.
+"""Fly the spiking controllers beside the cascade: `python docs/pages.py control`.
 
 A run that is cut short resumes, as `quadsim bench` does.
 """
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from pages import ROOT, Page, Parts, row
+from pages import ROOT, Part, Values, row
 
 from estimators import create
 from estimators.control.controller import SpikingController, make_controller
@@ -216,14 +216,14 @@ def silenced_left() -> str:
     return f"{np.abs(step_response(make, None)[:, -1] - STEP_DEG).mean():.0f}"
 
 
-def values(page: Page, given: Namespace) -> Parts:
+def values(part: Part, given: Namespace) -> Values:
     """Measure everything, and draw."""
     OUT.mkdir(parents=True, exist_ok=True)
     with progress_bar("controllers", "cells") as progress:
         results = bench(scenario_names(), list(NAMES.values()), OUT, FlightSettings(SEEDS), progress=progress)
     found = cells(results)
     responses = {title: step_response(*made) for title, made in makers().items()}
-    page.save(draw_steps(responses), "control-steps.png")
+    part.save(draw_steps(responses), "control-steps.png")
     return {
         "scenarios": list(scenario_rows(found)),
         "summary": list(summary_rows(found)),

@@ -1,4 +1,4 @@
-"""The page deploy.md: networks on microcontrollers, compiled and emulated.
+"""Networks on microcontrollers, compiled and emulated.
 
 It needs Debian's gcc-arm-none-eabi, libnewlib-arm-none-eabi and qemu-system-arm.
 """
@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from cortex import CORES, Core, Run, Size, build, missing_tools, run
 from numpy.typing import NDArray
-from pages import Page, Parts, confirmed, row
+from pages import Part, Values, confirmed, row
 from simulated import simulated
 
 from estimators import create
@@ -93,7 +93,7 @@ def rows(data: Path) -> Iterator[str]:
             yield row(f"`{name}`", core.name, *counts, f"{share:.1%}", flash, ram, f"{wrong} of {ours.size}")
 
 
-def values(page: Page, given: Namespace) -> Parts:
+def values(part: Part, given: Namespace) -> Values:
     """Compile and run."""
     if missing := missing_tools():
         sys.exit(

@@ -1,4 +1,4 @@
-"""The page filters.md: the estimators on flights that were not used for tuning or training."""
+"""The estimators on flights that were not used for tuning or training."""
 
 from argparse import Namespace
 from collections.abc import Iterator
@@ -9,7 +9,7 @@ import xarray as xr
 from foreign import AIRFRAMES, DESCRIPTION, foreign, foreign_cell
 from foreign import DURATION_S as FOREIGN_S
 from numpy.typing import NDArray
-from pages import Page, Parts, row
+from pages import Part, Values, row
 from simulated import DURATION_S, SETS, simulated
 
 from estimators import create, names
@@ -63,7 +63,7 @@ def tuning_of(name: str, domain: str) -> str | None:
     return domain if name in load_tuning(domain) else None
 
 
-def compared(page: Page, domain: str, dataset: xr.Dataset) -> Evaluation:
+def compared(part: Part, domain: str, dataset: xr.Dataset) -> Evaluation:
     """All estimators on the domain's test flights; draws the figures."""
     vehicle, rate_hz = vehicle_of(dataset), float(dataset.attrs["rate_hz"])
     made = {
@@ -74,7 +74,7 @@ def compared(page: Page, domain: str, dataset: xr.Dataset) -> Evaluation:
     with progress_bar(domain, "runs") as bar:
         done = evaluate(dataset, made, slow_flights=SLOW_FLIGHTS, progress=bar)
     for name, figure in {"violins": violins(done), "convergence": settling(done)}.items():
-        page.save(figure, f"filters-{name}-{domain}.png", dpi=110)
+        part.save(figure, f"filters-{name}-{domain}.png", dpi=110)
     return done
 
 
@@ -158,12 +158,12 @@ def spoilt_rows(dataset: xr.Dataset, domain: str) -> list[str]:
     return rows
 
 
-def values(page: Page, given: Namespace) -> Parts:
+def values(part: Part, given: Namespace) -> Values:
     """Measure everything, and draw."""
     tables = {"elsewhere": elsewhere_rows(given.data)}
     sets = {domain: simulated(name, given.data) for domain, name in DOMAINS.items()}
     for domain, dataset in sets.items():
-        done = compared(page, domain, dataset)
+        done = compared(part, domain, dataset)
         tables |= {
             f"results:{domain}": result_rows(done, domain, given.data),
             f"spoilt:{domain}": spoilt_rows(dataset, domain),

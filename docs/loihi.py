@@ -1,9 +1,9 @@
-"""The page loihi.md: everything about the chip."""
+"""Cores, latency, operations and energy of a network on the chip."""
 
 from argparse import Namespace
 
 import numpy as np
-from pages import Page, Parts, row
+from pages import Part, Values, row
 from simulated import simulated
 
 from estimators.analysis.ablation import error_deg
@@ -71,7 +71,7 @@ def energy_rows(core: OnLoihi, flights: Flights) -> list[str]:
     return [*rows, row("sum", "", "", f"{sum(each.nanojoules for each in lines):.2f}", "")]
 
 
-def values(page: Page, given: Namespace) -> Parts:
+def values(part: Part, given: Namespace) -> Values:
     """Measure everything, and draw."""
     flights = load_flights([simulated("val", given.data)])
     config, tensors = load_network(NAME)

@@ -1,13 +1,12 @@
-"""Pages of results: templates that scripts fill with what they measure.
+"""Measured parts of pages: templates that scripts fill with what they measure.
 
-    python docs/pages.py filters loihi      # measures, and writes docs/filters.md and docs/loihi.md
-    python docs/pages.py --check            # fails for pages edited since they were made; lists older ones
-    python docs/pages.py --stamp filters    # accepts an edit of a page
+    python docs/pages.py filters loihi      # measures, and writes these parts of their pages
+    python docs/pages.py --check            # fails for parts edited since they were made; lists older ones
+    python docs/pages.py --stamp filters    # accepts an edit of a part
 
-A page ends with a stamp: its command, the commit that made it, a fingerprint of the code and assets that it
-was made by, and a digest of its text and pictures. The page NAME is docs/NAME.template.md, filled with what
-the function `values` of its script returns; of README.md the script writes the part from `BLOCK` to the
-stamp.
+The part NAME is docs/parts/NAME.md, filled with what the function `values` of its script returns. It stands
+in its page between the line <!-- part NAME --> and its stamp: the command, the commit that made it, a
+fingerprint of the code and assets that it was made by, and a digest of its text and pictures.
 """
 
 import argparse
@@ -27,24 +26,23 @@ from quadsim.runs.fingerprint import closure, content_digest, file_digest, finge
 from quadsim.runs.record import commit
 
 ROOT = Path(__file__).parents[1]
-SCRIPTS = {
-    "simulator": "simulator",
-    "filters": "filters",
-    "circuit": "circuit",
-    "training": "training_page",
-    "loihi": "loihi",
-    "deploy": "deploy",
-    "verdict": "verdict",
-    "closed-loop": "closed_loop",
-    "control": "control_page",
-    "logs": "logs",
-    "identify": "identify",
-    "speed": "speed",
-    "paper": "paper_page",
-    "README": "readme",
+PARTS = {
+    "README": ("README.md", "readme"),
+    "verdict": ("docs/results.md", "verdict"),
+    "closed-loop": ("docs/results.md", "closed_loop"),
+    "recordings": ("docs/results.md", "recordings"),
+    "control": ("docs/results.md", "control_page"),
+    "simulator": ("docs/simulator.md", "simulator"),
+    "identify": ("docs/simulator.md", "identify"),
+    "filters": ("docs/filters.md", "filters"),
+    "circuit": ("docs/networks.md", "circuit"),
+    "training": ("docs/networks.md", "training_page"),
+    "loihi": ("docs/chip.md", "loihi"),
+    "deploy": ("docs/chip.md", "deploy"),
+    "speed": ("docs/speed.md", "speed"),
+    "paper": ("docs/paper.md", "paper_page"),
 }
-"""Pages, and the module that makes each."""
-BLOCK = "<!-- results -->\n"
+"""Parts, the page that each stands in, and the script that makes it."""
 STAMP = re.compile(
     r"(?P<older>\*Made at commit [\w-]+; the code has changed since\.\*\n\n)?"
     r"<!-- made by: (?P<command>[^;]+); commit (?P<commit>[\w-]+); "
@@ -55,30 +53,30 @@ PICTURE = re.compile(r"\]\((img/[^)]+)\)")
 LENGTH = 12
 """Hexadecimal digits of a digest."""
 
-Parts = Mapping[str, str | Sequence[str]]
+Values = Mapping[str, str | Sequence[str]]
 """For each {key} of a template a text, or the rows of a table."""
 
 
-class Page(NamedTuple):
-    """A page, its script and its pictures."""
+class Part(NamedTuple):
+    """A part of a page, its script and its pictures."""
 
     name: str
     root: Path = ROOT
 
     @property
     def path(self) -> Path:
-        """The page's file."""
-        return self.root / ("README.md" if self.name == "README" else f"docs/{self.name}.md")
+        """The page that the part stands in."""
+        return self.root / PARTS[self.name][0]
 
     @property
     def template(self) -> Path:
         """What `write` fills."""
-        return self.root / f"docs/{self.name}.template.md"
+        return self.root / f"docs/parts/{self.name}.md"
 
     @property
     def code(self) -> str:
         """Fingerprint of the script with all that it imports, of the template, assets and scenarios."""
-        files = closure([self.root / f"docs/{SCRIPTS[self.name]}.py"], self.root)
+        files = closure([self.root / f"docs/{PARTS[self.name][1]}.py"], self.root)
         files |= {self.template, *self.root.glob("assets/**/*"), *self.root.glob("scenarios/*.toml")}
         files |= {*self.root.glob("estimators/filters/**/*.py")}  # which are imported by name
         digests = {
@@ -86,40 +84,53 @@ class Page(NamedTuple):
         }
         return fingerprint(digests)[:LENGTH]
 
+    def split(self) -> tuple[str, str, re.Match[str] | None, str]:
+        """What the page has up to the part, the part's text, its stamp, and what the page has after that.
+
+        Raises:
+            ValueError: The page has no mark of this part.
+        """
+        before, mark, rest = self.path.read_text("utf-8").partition(f"<!-- part {self.name} -->\n")
+        if not mark:
+            raise ValueError(f"{self.path.name}: no line <!-- part {self.name} -->")
+        stamp = STAMP.search(rest.partition("<!-- part ")[0])
+        body, after = (rest[: stamp.start()], rest[stamp.end() :]) if stamp else ("", rest)
+        return before + mark, body, stamp, after
+
     def digest(self, body: str) -> str:
-        """Digest of a page's text and pictures."""
+        """Digest of the part's text and pictures."""
         pictures = [self.root / "docs" / each for each in PICTURE.findall(body)]
         there = [content_digest(each.read_bytes()) if each.is_file() else "missing" for each in pictures]
         return fingerprint(body, *there)[:LENGTH]
 
-    def write(self, parts: Parts) -> None:
-        """Fill the template, or the README's part, and stamp it.
+    def write(self, values: Values) -> None:
+        """Fill the template, and stamp the part.
 
         Raises:
-            ValueError: Keys of the template and parts do not agree.
+            ValueError: Keys of the template and values do not agree.
         """
-        if self.name == "README":
-            before, _, after = split(self.path.read_text("utf-8"))
-            body = f"\n{_text(parts['results'])}\n\n"
-        else:
-            before, body, after = "", self.template.read_text("utf-8").rstrip("\n") + "\n\n", ""
-            keys = set(KEY.findall(body))
-            if keys != set(parts):
-                raise ValueError(
-                    f"{self.template.name}: {', '.join(sorted(keys ^ set(parts)))}: key or part alone"
-                )
-            body = KEY.sub(lambda key: _text(parts[key[1]]), body)
-        stamp = _stamp(f"python docs/pages.py {self.name}", commit(), self.code, self.digest(body))
+        before, _, _, after = self.split()
+        template = self.template.read_text("utf-8").rstrip("\n")
+        if keys := set(KEY.findall(template)) ^ set(values):
+            raise ValueError(f"{self.template.name}: {', '.join(sorted(keys))}: key or value alone")
+        body = f"\n{KEY.sub(lambda key: _text(values[key[1]]), template)}\n\n"
+        command = f"python docs/pages.py {self.name}"
+        stamp = _stamp(command, commit(), self.code, self.digest(body))
         self.path.write_text(f"{before}{body}{stamp}{after}", "utf-8")
 
     def restamp(self) -> None:
-        """Accept the text as it is; it says so if it is older than its code."""
-        text = self.path.read_text("utf-8")
-        found = read_stamp(self.path)
-        before, body, after = split(text)
+        """Accept the text as it is; it says so if it is older than its code.
+
+        Raises:
+            ValueError: The part has no stamp.
+        """
+        before, body, found, after = self.split()
+        if found is None:
+            raise ValueError(f"{self.path.name}: part {self.name} has no stamp")
         older = f"*Made at commit {found['commit']}; the code has changed since.*\n\n"
         stamp = _stamp(found["command"], found["commit"], found["code"], self.digest(body))
-        self.path.write_text(f"{before}{body}{older * (found['code'] != self.code)}{stamp}{after}", "utf-8")
+        text = f"{before}{body}{older * (found['code'] != self.code)}{stamp}{after}"
+        self.path.write_text(text, "utf-8")
 
     def save(self, figure: Figure, name: str, *, dpi: int = 130, colours: int = 96) -> None:
         """Write a figure into docs/img; line drawings need few colours."""
@@ -132,26 +143,6 @@ def reduce_colours(path: Path, colours: int) -> None:
     """Write a PNG again with few colours."""
     image = Image.open(path).convert("P", palette=Image.Palette.ADAPTIVE, colors=colours)
     image.save(path, optimize=True)
-
-
-def read_stamp(path: Path) -> re.Match[str]:
-    """The stamp of a page.
-
-    Raises:
-        ValueError: There is none.
-    """
-    found = STAMP.search(path.read_text("utf-8"))
-    if found is None:
-        raise ValueError(f"{path.name}: no stamp")
-    return found
-
-
-def split(text: str) -> tuple[str, str, str]:
-    """What a page has before the part that is measured, that part, and what is after its stamp."""
-    stamp = STAMP.search(text)
-    end, after = (stamp.start(), text[stamp.end() :]) if stamp else (len(text), "")
-    before, mark, body = text[:end].rpartition(BLOCK)
-    return before + mark, body, after
 
 
 def row(*cells: object) -> str:
@@ -170,16 +161,16 @@ def confirmed(claim: str, value: float, most: float = 0) -> float:
     return value
 
 
-def check(pages: Sequence[Page]) -> list[str]:
-    """Pages that were edited since they were made; prints those that are older than their code."""
+def check(parts: Sequence[Part]) -> list[str]:
+    """Parts that were edited since they were made; prints those that are older than their code."""
     edited = []
-    for page in pages:
-        text = page.path.read_text("utf-8")
-        stamp = STAMP.search(text)
-        if stamp is None or page.digest(split(text)[1]) != stamp["text"]:
-            edited.append(f"{page.path.name}: edited since it was made; python docs/pages.py {page.name}")
-        elif stamp["code"] != page.code:
-            print(f"{page.path.name}: made at {stamp['commit']}, older than its code")
+    for part in parts:
+        _, body, stamp, _ = part.split()
+        where = f"{part.path.name}, part {part.name}"
+        if stamp is None or part.digest(body) != stamp["text"]:
+            edited.append(f"{where}: edited since it was made; python docs/pages.py {part.name}")
+        elif stamp["code"] != part.code:
+            print(f"{where}: made at {stamp['commit']}, older than its code")
     return edited
 
 
@@ -187,30 +178,30 @@ def _stamp(command: str, commit: str, code: str, text: str) -> str:
     return f"<!-- made by: {command}; commit {commit}; code {code}; text {text} -->\n"
 
 
-def _text(part: str | Sequence[str]) -> str:
-    return part if isinstance(part, str) else "\n".join(part)
+def _text(value: str | Sequence[str]) -> str:
+    return value if isinstance(value, str) else "\n".join(value)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Make pages, or check them."""
+    """Make parts, or check them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(SCRIPTS))
-    parser.add_argument("--check", action="store_true", help="all pages; exit status 1 if any was edited")
-    parser.add_argument("--stamp", action="store_true", help="accept edits of the named pages")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(PARTS))
+    parser.add_argument("--check", action="store_true", help="all parts; exit status 1 if any was edited")
+    parser.add_argument("--stamp", action="store_true", help="accept edits of the named parts")
     parser.add_argument("--data", type=Path, default=ROOT / "data", help="simulated flights")
     parser.add_argument("--recordings", type=Path, default=ROOT / "data" / "recordings", help="real flights")
     parser.add_argument("--run", type=Path, default=ROOT / "runs" / "paper", help="finished run of the paper")
     parser.add_argument("--rounds", type=int, default=9, help="turns of what is timed")
     given = parser.parse_args(arguments)
-    if unknown := set(given.names) - set(SCRIPTS):
-        parser.error(f"no page {', '.join(unknown)}; there are {', '.join(SCRIPTS)}")
-    for page in map(Page, given.names):
+    if unknown := set(given.names) - set(PARTS):
+        parser.error(f"no part {', '.join(unknown)}; there are {', '.join(PARTS)}")
+    for part in map(Part, given.names):
         if given.stamp:
-            page.restamp()
+            part.restamp()
         else:
             with matplotlib.rc_context(STYLE):
-                page.write(import_module(SCRIPTS[page.name]).values(page, given))
-    edited = check([Page(name) for name in SCRIPTS]) if given.check else []
+                part.write(import_module(PARTS[part.name][1]).values(part, given))
+    edited = check([Part(name) for name in PARTS]) if given.check else []
     print(*edited, sep="\n", end="\n" if edited else "")
     return int(bool(edited))
 

@@ -1,11 +1,11 @@
-"""The page paper.md: of a finished `quadsim paper --preset full --out runs/paper`, scored elsewhere too."""
+"""The paper, rerun: a finished `quadsim paper --preset full --out runs/paper`, scored elsewhere too."""
 
 from argparse import Namespace
 from collections.abc import Iterator
 from pathlib import Path
 
 from foreign import DESCRIPTION, foreign_error
-from pages import Page, Parts, reduce_colours, row
+from pages import Part, Values, reduce_colours, row
 from recordings import BROAD, PHANTOM4, recordings, score
 
 from estimators import create
@@ -43,14 +43,14 @@ def elsewhere(parts: Path, data: Path, folder: Path) -> Iterator[str]:
         yield row(title, f"{rotorpy:.2f}", *(f"{each.mean(key, RAW):.2f}" for each in scores))
 
 
-def values(page: Page, given: Namespace) -> Parts:
+def values(part: Part, given: Namespace) -> Values:
     """The run's page and figures, and the errors elsewhere."""
     parts = given.run / "full"
-    write_results(parts, page.path.parent, sizes_of("full"))
-    for figure in (page.path.parent / "img").glob("paper-*.png"):
+    write_results(parts, part.path.parent, sizes_of("full"))
+    for figure in (part.path.parent / "img").glob("paper-*.png"):
         reduce_colours(figure, 64)
     return {
-        "page": page.path.read_text("utf-8").rstrip("\n"),
+        "page": part.path.read_text("utf-8").rstrip("\n"),
         "rotorpy": DESCRIPTION,
         "elsewhere": list(elsewhere(parts, given.data, given.recordings)),
     }

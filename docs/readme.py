@@ -1,10 +1,10 @@
-"""The README's first table."""
+"""The README's table of errors."""
 
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
 
 from foreign import PLAN, foreign_error
-from pages import Page, Parts, row
+from pages import Part, Values, row
 from recordings import BROAD, PHANTOM4, RATE_HZ, recordings, score, vqf_with_defaults
 from simulated import estimate_of, simulated
 
@@ -20,11 +20,6 @@ WITHOUT_DRAG = ("mahony", "madgwick", "ekf", "eskf", "vqf")
 DRAG, MODELS, CHIP, FLOATS = "ekf-drag", "imm", "att-snn-loihi", "att-rnn"
 ALONE = "att-snn-paper"
 VEHICLE = "hummingbird"
-HEAD = (
-    "| attitude estimator | Hummingbird, simulated [°] | RotorPy, simulated [°] "
-    "| BROAD, hand-held, real [°] | Phantom 4, real [°] |",
-    "|---|---|---|---|---|",
-)
 
 
 def error_deg(est: AttitudeEstimator, flights: Flights) -> float:
@@ -38,7 +33,7 @@ def best(errors: Mapping[str, float]) -> str:
     return f"{errors[name]:.2f} ({name})"
 
 
-def values(page: Page, given: Namespace) -> Parts:
+def values(part: Part, given: Namespace) -> Values:
     """Measure."""
     flights = load_flights([simulated("test", given.data)])
     package = {"vqf, package's parameters": vqf_with_defaults()}
@@ -73,26 +68,11 @@ def values(page: Page, given: Namespace) -> Parts:
         "always level": errors(level, [each.silenced(CHIP) for each in scores]),
     }
     return {
-        "results": [
-            f"**{recommendation().sentence}** This is the result of the",
-            "[held-out benchmark](docs/verdict.md), in which every estimator flies four airframes with four",
-            "IMUs in wind, from rest and in motion. The table has errors outside the loop,",
-            "on recorded flights:",
-            "",
-            *HEAD,
-            *(row(name, *cells) for name, cells in rows.items()),
-            "",
-            f"- *Hummingbird*: mean absolute error of roll and pitch over {len(flights.gyro)} flights "
-            f"of {flights.gyro.shape[1] / flights.rate_hz:g} s.",
-            "  Networks were trained and filters tuned on other flights of the same simulator.",
-            f"- *RotorPy*: the same error over {PLAN}, a simulator by other authors.",
-            "  It has its own vehicles, aerodynamics, wind and controller. The IMU is our model.",
-            f"- *BROAD* ({len(sets[BROAD])} trials) and *Phantom 4* ({len(sets[PHANTOM4])} flights): "
-            "RMS inclination error on real recordings ([real logs](docs/logs.md)).",
-            "- The initial attitude is unknown. Nothing was trained or tuned on RotorPy, BROAD or Phantom 4, "
-            "but the",
-            "  recipe of Att-SNN's training and the structure of `imm` were chosen with them in view.",
-            "- *Always level* estimates zero roll and pitch. A network with output weights of zero",
-            "  (*silenced*) does the same, so the difference is what the network contributes.",
-        ]
+        "recommendation": recommendation().sentence,
+        "rows": [row(name, *cells) for name, cells in rows.items()],
+        "flights": str(len(flights.gyro)),
+        "duration": f"{flights.gyro.shape[1] / flights.rate_hz:g}",
+        "rotorpy": PLAN,
+        "broad": str(len(sets[BROAD])),
+        "phantom4": str(len(sets[PHANTOM4])),
     }

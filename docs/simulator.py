@@ -1,11 +1,11 @@
-"""The page simulator.md: the simulator against theory."""
+"""The simulator against theory."""
 
 from argparse import Namespace
 
 import allantools
 import numpy as np
 from numpy.typing import NDArray
-from pages import Page, Parts, reduce_colours, row
+from pages import Part, Values, reduce_colours, row
 from scipy.signal import welch
 
 from quadsim.control.gains import loop_margins
@@ -107,10 +107,10 @@ def margin_rows() -> list[str]:
     return rows
 
 
-def values(page: Page, given: Namespace) -> Parts:
+def values(part: Part, given: Namespace) -> Values:
     """Measure everything, and draw."""
     config = load_recipe("hummingbird")
-    flights = page.root / "docs" / "img" / "flights.png"
+    flights = part.root / "docs" / "img" / "flights.png"
     plot(generate(config, 8, 100.0, given.data / "docs-flights.zarr", seed=0), flights)
     reduce_colours(flights, 48)
     return {

@@ -10,7 +10,7 @@ from argparse import Namespace
 from collections.abc import Sequence
 from importlib.util import find_spec
 
-from pages import ROOT, Page, Parts, row
+from pages import ROOT, Part, Values, row
 
 PEERS = ("crazyflow", "rotorpy", "norse", "snntorch")
 STATED = {
@@ -36,7 +36,7 @@ def table(rows: Sequence[dict[str, object]]) -> list[str]:
     return [row(*each.values()) for each in rows]
 
 
-def values(page: Page, given: Namespace) -> Parts:
+def values(part: Part, given: Namespace) -> Values:
     """Measure everything, one benchmark after the other."""
     missing = [name for name in PEERS if find_spec(name) is None]
     if missing or os.environ.get("OMP_NUM_THREADS") != "1":

@@ -1,4 +1,4 @@
-"""The page training.md: errors of the shipped weights, and every setting of a training."""
+"""Errors of the shipped networks of layers, and the settings of their training."""
 
 from argparse import Namespace
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from foreign import DESCRIPTION, foreign_cell
 from numpy.typing import NDArray
-from pages import Page, Parts, confirmed, row
+from pages import Part, Values, confirmed, row
 from simulated import estimate_of, simulated
 
 from estimators import create
@@ -92,7 +92,7 @@ def training_cells(training: dict) -> tuple[str, ...]:
     return str(training["training_flights"]), str(training["updates"]), f"{hours:.0f}", spent
 
 
-def values(page: Page, given: Namespace) -> Parts:
+def values(part: Part, given: Namespace) -> Values:
     """Measure."""
     flights = load_flights([simulated("test", given.data)])
     config, tensors = load_network(NAME)

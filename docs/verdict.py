@@ -1,4 +1,4 @@
-"""Fly the held-out suite and the designed axes, and write verdict.md: `python docs/pages.py verdict`.
+"""Fly the held-out suite and the designed axes, for results.md: `python docs/pages.py verdict`.
 
 A run that is cut short resumes, as `quadsim bench` does.
 """
@@ -10,7 +10,7 @@ from textwrap import fill
 
 import numpy as np
 from matplotlib.figure import Figure
-from pages import Page, Parts, row
+from pages import Part, Values, row
 
 from estimators.appearance import looks
 from quadsim.held_out import HeldOut, load_held_out, releases
@@ -97,7 +97,7 @@ def ranges(held_out: HeldOut) -> list[str]:
     return [row(*each) for each in (said | levels).items()]
 
 
-def values(page: Page, given: Namespace) -> Parts:
+def values(part: Part, given: Namespace) -> Values:
     """Measure everything, and draw."""
     held_out = load_held_out(releases()[-1])
     unseen, looked_at = verdict(fly("held-out")), fly("axes")
@@ -106,7 +106,7 @@ def values(page: Page, given: Namespace) -> Parts:
     save_recommendation(
         Recommendation(release=held_out.release, command=command, date=today, sentence=sentence)
     )
-    page.save(draw_levels(looked_at), "verdict-axes.png", dpi=110, colours=128)
+    part.save(draw_levels(looked_at), "verdict-axes.png", dpi=110, colours=128)
     return {
         "release": held_out.release,
         "seed": str(held_out.seed),

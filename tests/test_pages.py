@@ -1,4 +1,4 @@
-"""Stamps of pages: what `make check` refuses, and what it lists as old."""
+"""Stamps of measured parts: what `make check` refuses, and what it lists as old."""
 
 import sys
 from importlib import import_module
@@ -8,6 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 DOCS = Path(__file__).parents[1] / "docs"
+EDITED = "speed.md, part speed: edited since it was made; python docs/pages.py speed"
 THING = '"""A module."""\n\n\ndef double(x):\n    """Twice x."""\n    return 2 * x  # twice\n'
 
 
@@ -20,47 +21,51 @@ def pages():
 
 
 @pytest.fixture
-def page(tmp_path, pages):
-    """A page that was made just now, in a project of its own."""
-    for folder in ("docs/img", "assets/weights", "box", "other"):
+def part(tmp_path, pages):
+    """A part that was made just now, in a project of its own."""
+    for folder in ("docs/img", "docs/parts", "assets/weights", "box", "other"):
         (tmp_path / folder).mkdir(parents=True)
     (tmp_path / "docs/speed.py").write_text("def values():\n    from box.thing import double\n")
-    (tmp_path / "docs/speed.template.md").write_text("# One\n\n{text}: D(x, d), {rows}\n![](img/one.png)\n")
+    (tmp_path / "docs/parts/speed.md").write_text("{text}: D(x, d), {rows}\n![](img/one.png)\n")
+    (tmp_path / "docs/speed.md").write_text("# One\n\n<!-- part speed -->\n")
     (tmp_path / "box/__init__.py").write_text("")
     (tmp_path / "box/thing.py").write_text(THING)
     (tmp_path / "other/thing.py").write_text("x = 1\n")
     (tmp_path / "assets/weights/a.safetensors").write_bytes(b"weights")
-    page = pages.Page("speed", tmp_path)
-    page.save(Figure(), "one.png")
-    page.write({"text": "half", "rows": ["a", "b"]})
-    return page
+    part = pages.Part("speed", tmp_path)
+    part.save(Figure(), "one.png")
+    part.write({"text": "half", "rows": ["a", "b"]})
+    return part
 
 
-def test_a_page_ends_with_its_command_and_the_commit_that_made_it(pages, page, capsys):
-    text = page.path.read_text()
-    assert text.startswith("# One\n\nhalf: D(x, d), a\nb\n")
+def test_a_part_ends_with_its_command_and_the_commit_that_made_it(pages, part, capsys):
+    text = part.path.read_text()
+    assert text.startswith("# One\n\n<!-- part speed -->\n\nhalf: D(x, d), a\nb\n")
     stamp = pages.STAMP.fullmatch(text.splitlines(keepends=True)[-1])
     assert stamp["command"] == "python docs/pages.py speed"
     assert len(stamp["commit"]) >= 7
-    assert (pages.check([page]), capsys.readouterr().out) == ([], "")
-    with pytest.raises(ValueError, match=r"speed\.template\.md: rows, tail: key or part alone"):
-        page.write({"text": "", "tail": ""})
-    page.path.write_text("# One\n")
-    assert pages.check([page]) == ["speed.md: edited since it was made; python docs/pages.py speed"]
-    with pytest.raises(ValueError, match=r"speed\.md: no stamp"):
-        page.restamp()
+    assert (pages.check([part]), capsys.readouterr().out) == ([], "")
+    with pytest.raises(ValueError, match=r"speed\.md: rows, tail: key or value alone"):
+        part.write({"text": "", "tail": ""})
+    part.path.write_text("<!-- part speed -->\n")
+    assert pages.check([part]) == [EDITED]
+    with pytest.raises(ValueError, match=r"speed\.md: part speed has no stamp"):
+        part.restamp()
+    part.path.write_text("# One\n")
+    with pytest.raises(ValueError, match=r"speed\.md: no line <!-- part speed -->"):
+        part.split()
 
 
 @pytest.mark.parametrize("file", ["docs/speed.md", "docs/img/one.png"])
-def test_a_page_or_picture_that_was_edited_is_refused_until_it_is_stamped(pages, page, file, capsys):
-    path = page.root / file
+def test_a_part_or_picture_that_was_edited_is_refused_until_it_is_stamped(pages, part, file, capsys):
+    path = part.root / file
     path.write_bytes(path.read_bytes().replace(b"half", b"hole") + b" ")
     if file.endswith(".md"):
         path.write_text(path.read_text().removesuffix(" "))
-    assert pages.check([page]) == ["speed.md: edited since it was made; python docs/pages.py speed"]
-    page.restamp()
-    assert pages.check([page]) == []
-    assert "the code has changed" not in page.path.read_text()
+    assert pages.check([part]) == [EDITED]
+    part.restamp()
+    assert pages.check([part]) == []
+    assert "the code has changed" not in part.path.read_text()
 
 
 @pytest.mark.parametrize(
@@ -68,42 +73,45 @@ def test_a_page_or_picture_that_was_edited_is_refused_until_it_is_stamped(pages,
     [
         ("assets/weights/a.safetensors", "others", True),
         ("assets/weights/b.safetensors", "more", True),
-        ("docs/speed.template.md", "# Two\n", True),
+        ("docs/parts/speed.md", "# Two\n", True),
         ("box/thing.py", THING.replace("2 * x", "3 * x"), True),
         ("box/thing.py", "# new\ndef double(\n    x,\n):\n    '''Two times.'''\n    return (2 * x)\n", False),
         ("other/thing.py", "x = 2\n", False),
     ],
 )
-def test_a_page_whose_code_or_assets_changed_is_listed_and_no_failure(
-    pages, page, file, content, older, capsys
+def test_a_part_whose_code_or_assets_changed_is_listed_and_no_failure(
+    pages, part, file, content, older, capsys
 ):
-    (page.root / file).write_text(content)
-    assert pages.check([page]) == []
-    assert ("speed.md: made at" in capsys.readouterr().out) == older
-    before = pages.read_stamp(page.path)["commit"], pages.read_stamp(page.path)["code"]
-    page.restamp()
-    page.restamp()
-    after = pages.read_stamp(page.path)
-    assert (after["commit"], after["code"]) == before
-    assert page.path.read_text().count(f"*Made at commit {before[0]}; the code has changed since.*") == older
+    (part.root / file).write_text(content)
+    assert pages.check([part]) == []
+    assert ("speed.md, part speed: made at" in capsys.readouterr().out) == older
+    before = part.split()[2]
+    part.restamp()
+    part.restamp()
+    after = part.split()[2]
+    assert (after["commit"], after["code"]) == (before["commit"], before["code"])
+    note = f"*Made at commit {before['commit']}; the code has changed since.*"
+    assert part.path.read_text().count(note) == older
 
 
-def test_of_the_readme_the_part_between_the_mark_and_the_stamp_is_replaced(pages, tmp_path):
-    page = pages.Page("README", tmp_path)
-    (tmp_path / "docs").mkdir()
-    (tmp_path / "docs/readme.py").write_text("x = 1\n")
-    old = pages._stamp("x", "0", "0", "0")
-    page.path.write_text(f"before\n{pages.BLOCK}old\n{old}after\n")
-    page.write({"results": ["new", "rows"]})
-    before, body, after = pages.split(page.path.read_text())
-    assert (before, body, after) == (f"before\n{pages.BLOCK}", "\nnew\nrows\n\n", "after\n")
-    page.path.write_text(page.path.read_text().replace("before", "changed"))
-    assert pages.check([page]) == []
+def test_a_part_is_replaced_and_the_rest_of_its_page_stays(pages, tmp_path):
+    (tmp_path / "docs/parts").mkdir(parents=True)
+    (tmp_path / "docs/loihi.py").write_text("x = 1\n")
+    (tmp_path / "docs/parts/loihi.md").write_text("{rows}\n")
+    old, part = pages._stamp("x", "0", "0", "0"), pages.Part("loihi", tmp_path)
+    after = f"between\n<!-- part deploy -->\nothers\n{old}"
+    part.path.write_text(f"before\n<!-- part loihi -->\nold\n{old}{after}")
+    part.write({"rows": ["new", "rows"]})
+    assert part.split()[:2] == ("before\n<!-- part loihi -->\n", "\nnew\nrows\n\n")
+    assert part.path.read_text().endswith(after)
+    part.path.write_text(part.path.read_text().replace("before", "changed").replace("others", "more"))
+    assert pages.check([part]) == []
+    part.path.write_text(f"<!-- part loihi -->\n{after}")  # the stamp is that of the next part
+    assert part.split()[2] is None
 
 
-def test_every_page_has_a_script_and_no_page_was_edited(pages):
-    assert pages.check([pages.Page(name) for name in pages.SCRIPTS]) == []
-    for name in pages.SCRIPTS.values():
-        assert "def values(page: Page, given: Namespace) -> Parts:" in (DOCS / f"{name}.py").read_text()
-    with_template = {path.name.removesuffix(".template.md") for path in DOCS.glob("*.template.md")}
-    assert with_template == pages.SCRIPTS.keys() - {"README"}
+def test_every_part_has_a_script_and_none_was_edited(pages):
+    assert pages.check([pages.Part(name) for name in pages.PARTS]) == []
+    for _, script in pages.PARTS.values():
+        assert "def values(part: Part, given: Namespace) -> Values:" in (DOCS / f"{script}.py").read_text()
+    assert {path.stem for path in (DOCS / "parts").glob("*.md")} == pages.PARTS.keys()

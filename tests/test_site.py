@@ -43,7 +43,7 @@ def test_every_verb_has_its_section(site):
     assert all(f"## `quadsim {verb}`\n" in text for verb in ("generate", "bench", "report", "identify"))
 
 
-@pytest.mark.parametrize("name", ["data", "estimator", "add", "deploy"])
+@pytest.mark.parametrize("name", ["data", "estimator", "scenario", "train"])
 def test_a_tutorial_is_also_a_notebook_with_every_block_that_tests_run(site, name):
     tutorial = (ROOT / "docs" / "tutorials" / f"{name}.md").read_text("utf-8")
     cells = json.loads(site.notebook(tutorial))["cells"]

@@ -122,7 +122,7 @@ def _read(path: Path, truth: str | None, imu: str | None) -> Recording:
         return read_table(path)
     if is_usdlog(path):
         return read_usdlog(path)
-    hint = "; write a column map for it, see docs/logs.md" if suffix == ".csv" else ""
+    hint = "; write a column map for it, see docs/reference/logs.md" if suffix == ".csv" else ""
     raise ValueError(f"{path}: not a log that can be read{hint}; known: {FORMATS}")
 
 

@@ -37,6 +37,6 @@ def recommendation() -> Recommendation:
 
 def save_recommendation(found: Recommendation) -> None:
     """Write the file that `recommendation` reads."""
-    head = "# Written by the command that makes docs/verdict.md, from the flights of the held-out suite.\n"
+    head = "# Written by the command that makes docs/results.md, from the flights of the held-out suite.\n"
     write_whole(FILE, head + tomli_w.dumps(found.model_dump()))
     recommendation.cache_clear()
