@@ -1,4 +1,4 @@
-"""Make the README's picture and the video of the site's first page: `python docs/pictures.py`."""
+"""Make the README's animation, and the video and its first picture on the site: `python docs/pictures.py`."""
 
 import subprocess
 from contextlib import closing
@@ -54,11 +54,17 @@ def video(out: Path) -> None:
     """A figure of eight, small; a browser starts to play it before it has the whole file."""
     changes = {"duration_s": VIDEO_S}
     flown = fly_scenario("figure-8", ESTIMATOR, out / "figure-8", changes=changes, video=True)
-    path = ROOT / "docs" / "img" / "flight.mp4"
+    images = ROOT / "docs" / "img"
     coded = ["-c:v", "libx264", "-preset", "slow", "-crf", str(QUALITY), "-pix_fmt", "yuv420p"]
     rest = ["-movflags", "+faststart", "-map_metadata", "-1"]
-    command = [get_ffmpeg_exe(), "-v", "error", "-y", "-i", str(flown.video), "-vf", f"scale={WIDTH}:-2"]
-    subprocess.run([*command, "-an", *coded, *rest, str(path)], check=True)
+    run_ffmpeg("-i", flown.video, "-vf", f"scale={WIDTH}:-2", "-an", *coded, *rest, images / "flight.mp4")
+    small = ["-vf", "fps=12,scale=720:-2", "-c:v", "libwebp_anim", "-quality", 55, "-loop", 0]
+    run_ffmpeg("-ss", 1, "-t", 4, "-i", images / "flight.mp4", *small, images / "flight.webp")
+
+
+def run_ffmpeg(*arguments: object) -> None:
+    """Run the bundled ffmpeg, which overwrites its output."""
+    subprocess.run([get_ffmpeg_exe(), "-v", "error", "-y", *map(str, arguments)], check=True)
 
 
 if __name__ == "__main__":
