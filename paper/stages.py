@@ -9,14 +9,13 @@ import json
 import shutil
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import BrokenExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from quadsim.runs.files import write_whole
 from quadsim.runs.fingerprint import code_digest, fingerprint
-from quadsim.runs.pool import WORKER_DIED, run_jobs
+from quadsim.runs.pool import run_jobs
 
 RECORD, NUMBERS = "stage.json", "numbers.json"
 FLIGHTS, WEIGHTS, TUNING = "flights.zarr", "best.safetensors", "tuned.toml"
@@ -111,12 +110,9 @@ def run_stages(
     while waiting := [stage for stage in stages if stage.name not in done]:
         ready = [stage for stage in waiting if done.issuperset(stage.inputs)]
         now = [stage.name for stage in ready if not stage.alone] or [ready[0].name]
-        try:
-            for name, _ in run_jobs(make_stage, {name: jobs[name] for name in now}, workers):
-                done.add(name)
-                progress(len(done), len(stages), name)
-        except BrokenExecutor as error:
-            raise ChildProcessError(WORKER_DIED) from error
+        for name, _ in run_jobs(make_stage, {name: jobs[name] for name in now}, workers):
+            done.add(name)
+            progress(len(done), len(stages), name)
     return list(jobs)
 
 

@@ -2,14 +2,16 @@
 
 import json
 import shutil
-from concurrent.futures import BrokenExecutor, Executor
+from concurrent.futures import Executor
 from contextlib import closing
 from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
+from pydantic import ValidationError
 
 from ..config.ranges import steps_of
+from ..config.toml import describe
 from ..flight.recipe import Recipe
 from ..held_out import unreserved
 from ..runs.files import alone
@@ -55,7 +57,7 @@ def generate(
             an executor, how many workers it has.
         executor: Where to run in place of processes of our own, for instance a Dask client's
             `get_executor()`; its workers need quadsim and the same file system.
-        progress: Called with the flights done and their total at the start and after each flight.
+        progress: Called with the flights done and their total at the start and after each batch.
         overwrite: Replace another dataset at `out`, finished or not.
 
     Returns:
@@ -68,7 +70,7 @@ def generate(
     plan = _plan(config, flights, duration_s, seed, rate_hz)
     if workers is None and plan.flights * plan.steps < WORTH_A_PROCESS and executor is None:
         workers = 1
-    workers = process_count(None if workers is None else _at_least("workers", workers, 1), plan.flights)
+    workers = process_count(workers, plan.flights)
     out = Path(out).expanduser().absolute()
     try:
         with alone(out):
@@ -83,21 +85,18 @@ def generate(
 
 
 def _plan(config: Recipe, flights: int, duration_s: float, seed: int, rate_hz: float) -> Plan:
-    return Plan(
-        quadsim_version=version("quadsim"),
-        seed=unreserved(_at_least("seed", seed, 0)),
-        flights=int(FLIGHTS.of("flights", _at_least("flights", flights, 1))),
-        steps=steps_of(duration_s, rate_hz),
-        rate_hz=rate_hz,
-        code=code_digest("quadsim.dataset.store"),
-        config=config,
-    )
-
-
-def _at_least(name: str, value: int, lowest: int) -> int:
-    if int(value) != value or value < lowest:
-        raise ValueError(f"{name} = {value}: a whole number from {lowest} on is allowed")
-    return int(value)
+    try:
+        return Plan(
+            quadsim_version=version("quadsim"),
+            seed=unreserved(seed),
+            flights=flights,
+            steps=steps_of(duration_s, rate_hz),
+            rate_hz=rate_hz,
+            code=code_digest("quadsim.dataset.store"),
+            config=config,
+        )
+    except ValidationError as error:
+        raise ValueError(describe(error, Plan)) from error
 
 
 def _make_way(plan: Plan, out: Path, overwrite: bool) -> bool:
@@ -158,17 +157,10 @@ def _fly_all(plan: Plan, folder: Path, workers: int, executor: Executor | None, 
     batches = {batch[0]: (plan, folder, batch) for batch in _batches(missing, plan.steps, workers)}
     done = plan.flights - len(missing)
     progress(done, plan.flights)
-    try:
-        with closing(run_jobs(dataset_store.fly_batch, batches, workers, executor)) as finished:
-            for _, batch in finished:
-                for _ in batch:
-                    done += 1
-                    progress(done, plan.flights)
-    except BrokenExecutor as error:
-        raise ChildProcessError(
-            f"a worker process died (out of memory, or killed); {done} complete flights of {plan.flights} "
-            f"stay in {folder}; run the same command to continue, with fewer workers"
-        ) from error
+    with closing(run_jobs(dataset_store.fly_batch, batches, workers, executor)) as finished:
+        for _, batch in finished:
+            done += len(batch)
+            progress(done, plan.flights)
 
 
 def _batches(flights: list[int], steps: int, workers: int) -> list[list[int]]:

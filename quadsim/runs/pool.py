@@ -5,10 +5,10 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor
 from concurrent.futures import wait as wait_for
-from contextlib import contextmanager, nullcontext
+from contextlib import closing, contextmanager
 from multiprocessing.connection import wait
 from typing import TypeVar
 
@@ -29,25 +29,15 @@ def run_jobs(
     workers: int | None = None,
     executor: Executor | None = None,
 ) -> Generator[tuple[Key, Result]]:
-    """Call a function for every job, and yield the key of each job with its result as they end.
-
-    Args:
-        function: Called as function(*job); both must be picklable.
-        jobs: Arguments by key.
-        workers: Processes, by default one for each CPU; 1 stays in this process and runs the jobs in order.
-        executor: Where to run in place of processes of our own.
+    """As `run_all`, but ends with the first job that fails.
 
     Raises:
-        BrokenExecutor: A worker process died.
-        ChildProcessError: The executor's cluster was lost.
+        ChildProcessError: A worker process died at the same job twice, or the executor's cluster was lost.
     """
-    workers = process_count(workers, len(jobs))
-    if executor is None and workers == 1:
-        for key, job in jobs.items():
-            yield key, function(*job)
-        return
-    with nullcontext(executor) if executor is not None else worker_pool(workers) as pool:
-        for key, result in _submit(pool, function, jobs):
+    with closing(run_all(function, jobs, workers, executor)) as results:
+        for key, result in results:
+            if isinstance(result, BrokenExecutor):
+                raise ChildProcessError(WORKER_DIED) from result
             if isinstance(result, BaseException):
                 raise result
             yield key, result
@@ -55,37 +45,43 @@ def run_jobs(
 
 def run_all(
     function: Callable[..., Result],
-    jobs: Sequence[tuple],
+    jobs: Mapping[Key, tuple],
     workers: int | None = None,
     executor: Executor | None = None,
-) -> Iterator[tuple[int, Result | BaseException]]:
-    """As `run_jobs`, for numbered jobs: a worker process that dies ends no job save the one that it was at.
+) -> Generator[tuple[Key, Result | BaseException]]:
+    """Call a function for every job; a worker process that dies ends no job save the one that it was at.
 
     A worker that dies breaks its pool. Jobs begin in order, so that it was at one of the first that are
     unfinished: they run again, in a pool each, and all others in a new one.
 
+    Args:
+        function: Called as function(*job); both must be picklable.
+        jobs: Arguments by key.
+        workers: Processes, by default one for each CPU; 1 stays in this process and runs the jobs in order.
+        executor: Where to run in place of processes of our own.
+
     Yields:
-        (i, result of jobs[i]), or the exception in place of the result where the worker itself died.
+        The key of each job with its result as they end; in place of a result, the exception of a worker.
     """
-    workers, numbered = process_count(workers, len(jobs)), dict(enumerate(jobs))
+    workers = process_count(workers, len(jobs))
     if executor is not None:
-        yield from _submit(executor, function, numbered)
+        yield from _submit(executor, function, jobs)
         return
     if workers == 1:
-        yield from run_jobs(function, numbered, workers)
+        for key, job in jobs.items():
+            yield key, function(*job)
         return
-    groups = [(workers, list(numbered))]
+    groups = [(workers, list(jobs))]
     while groups:
         size, group = groups.pop(0)
-        unfinished: list[int] = []
+        finished: set[Key] = set()
         with worker_pool(size) as pool:
-            for i, result in _submit(pool, function, {i: jobs[i] for i in group}):
-                if isinstance(result, BrokenExecutor) and len(group) > 1:
-                    unfinished.append(i)
-                else:
-                    yield i, result
-        unfinished.sort()
-        groups += [(1, [i]) for i in unfinished[: 2 * workers]]
+            for key, result in _submit(pool, function, {key: jobs[key] for key in group}):
+                if len(group) == 1 or not isinstance(result, BrokenExecutor):
+                    finished.add(key)
+                    yield key, result
+        unfinished = [key for key in group if key not in finished]
+        groups += [(1, [key]) for key in unfinished[: 2 * workers]]
         groups += [(workers, rest)] if (rest := unfinished[2 * workers :]) else []
 
 
@@ -109,6 +105,8 @@ def _submit(
 
 def process_count(workers: int | None, jobs: int) -> int:
     """Processes for so many jobs: as many as asked for, or one for each CPU, but no more than jobs."""
+    if workers is not None and workers < 1:
+        raise ValueError(f"workers = {workers}: at least 1 is required")
     cpus = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return max(1, min(workers or cpus, jobs))
 

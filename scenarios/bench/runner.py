@@ -108,8 +108,7 @@ def _fly_cells(
     progress = progress or (lambda done, total: None)
     progress(len(cells), len(jobs))
     said: set[tuple[str, str]] = set()
-    for at, cell in run_all(fly_cell, [(*jobs[i], settings) for i in missing], workers, executor):
-        i = missing[at]
+    for i, cell in run_all(fly_cell, {i: (*jobs[i], settings) for i in missing}, workers, executor):
         if isinstance(cell, BaseException):  # the worker itself died
             name, _, estimator = jobs[i]
             cell = failed_cell(name, estimator, f"{type(cell).__name__}: {cell}")

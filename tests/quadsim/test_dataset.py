@@ -208,8 +208,7 @@ dataset.generate(Recipe.model_validate_json(sys.argv[2]), 40, 1.0, sys.argv[1], 
 
 
 def test_a_worker_that_dies_is_one_clear_error(tmp_path):
-    said = r"a worker process died .*[1-6] complete flights of 7 stay in .*; run the same command"
-    with pytest.raises(ChildProcessError, match=said):
+    with pytest.raises(ChildProcessError, match=r"a worker process died .*; finished work stays"):
         generate(
             CONFIG, FLIGHTS, DURATION, tmp_path / "x.zarr", workers=7, executor=Inline(5, BrokenExecutor())
         )
@@ -256,7 +255,7 @@ def test_what_is_not_a_dataset_is_never_replaced(tmp_path, overwrite):
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"flights": 0}, "flights = 0: a whole number from 1 on"),
+        ({"flights": 0}, "flights = 0: should be 1 to"),
         ({"flights": 1.5}, "flights = 1.5"),
         ({"duration_s": 0.0}, "duration_s = 0.0"),
         ({"duration_s": float("nan")}, "duration_s = nan"),

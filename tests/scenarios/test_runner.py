@@ -264,7 +264,7 @@ def test_weights_fly_like_the_estimator_that_they_are_of(tmp_path):
 
 
 def test_a_dying_worker_ends_no_other_job():
-    found = dict(run_all(square, [(i, 1) for i in range(4)], workers=2))
+    found = dict(run_all(square, {i: (i, 1) for i in range(4)}, workers=2))
     assert isinstance(found.pop(1), BrokenExecutor)
     assert found == {0: 0, 2: 4, 3: 9}
 
