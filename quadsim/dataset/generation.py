@@ -19,7 +19,7 @@ from ..runs.fingerprint import code_digest
 from ..runs.pool import process_count, run_jobs
 from . import store as dataset_store
 from .reading import read_attributes, refuse_damaged
-from .store import FLIGHTS, Plan, Progress, partial_folder
+from .store import Plan, Progress, partial_folder
 
 BATCH_FLIGHTS = 16  # more gain no speed
 BATCH_BYTES = 400e6  # memory that a worker may use for a batch,
@@ -110,8 +110,8 @@ def _make_way(plan: Plan, out: Path, overwrite: bool) -> bool:
         attributes = read_attributes(out)  # refuses to touch what is not a dataset
         if not overwrite:
             refuse_damaged(out)
-            found = attributes.model_dump(include=set(Plan.model_fields))
-            _refuse_other(plan, {**found, "config": json.loads(attributes.config)}, f"{out} holds")
+            found = {name: attributes[name] for name in Plan.model_fields}
+            _refuse_other(plan, found | {"config": json.loads(found["config"])}, f"{out} holds")
             shutil.rmtree(folder, ignore_errors=True)
             return False
     if folder.exists():

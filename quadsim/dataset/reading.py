@@ -1,9 +1,9 @@
-"""Open, check and summarise a dataset: its attributes, labels and units, and the digests of its files."""
+"""Open, check and summarise a dataset."""
 
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -13,15 +13,14 @@ from ..rotation import quat_rotate, roll_pitch_from_quat
 from ..runs.files import read_json, write_whole
 from ..runs.fingerprint import fingerprint
 from . import store
-from .store import DIGESTS, FORMAT, FORMAT_VERSION, LABELS, PER_FLIGHT, VARIABLES, Attributes, Progress
+from .store import DIGESTS, FORMAT, FORMAT_VERSION, PER_FLIGHT, VARIABLES, Progress
 
 
 def open_dataset(path: str | Path) -> xr.Dataset:
     """Open a dataset; its arrays are read when they are used.
 
-    Opening always compares the names, dimensions, shapes and units of all arrays with those that quadsim
-    writes. It compares every file with its digest the first time, and again when the size or the time stamp
-    of a file has changed; `verify` always does.
+    Every file is compared with its digest the first time, and again when the size or the time stamp of a file
+    has changed; `verify` always does.
 
     Args:
         path: A dataset that `generate` wrote.
@@ -32,23 +31,14 @@ def open_dataset(path: str | Path) -> xr.Dataset:
 
     Raises:
         FileNotFoundError: There is nothing at the path.
-        ValueError: Not a dataset, unfinished, damaged, in other units or from a newer version.
+        ValueError: Not a dataset, unfinished, damaged, edited or from a newer version.
     """
     path = Path(path).expanduser()
-    dataset = _labelled(path)
+    read_attributes(path)
     refuse_damaged(path)
-    return dataset
-
-
-def _labelled(path: Path) -> xr.Dataset:
-    """A dataset whose files may be damaged; names, dimensions, shapes and units are right."""
-    attributes = read_attributes(path)
-    with damage_in_words(path):
-        dataset = xr.open_dataset(path, engine="zarr", chunks=None, consolidated=True)
-        refuse_mislabelled(path, dataset, attributes)
-        dataset = dataset.set_coords(PER_FLIGHT)
-        strings = [name for name, values in dataset.coords.items() if values.dtype.kind not in "if"]
-        return dataset.assign_coords({name: dataset[name].astype(object) for name in strings})
+    dataset = xr.open_dataset(path, engine="zarr", chunks=None, consolidated=True).set_coords(PER_FLIGHT)
+    strings = [name for name, values in dataset.coords.items() if values.dtype.kind not in "if"]
+    return dataset.assign_coords({name: dataset[name].astype(object) for name in strings})
 
 
 def verify(path: str | Path, progress: Progress = lambda done, total: None) -> int:
@@ -58,22 +48,50 @@ def verify(path: str | Path, progress: Progress = lambda done, total: None) -> i
         How many flights were verified.
 
     Raises:
-        ValueError: The damaged flights and the other files that are not as they were written; or what else is
-            wrong, as on opening.
+        ValueError: The damaged flights and the other files that are not as they were written; or it is no
+            dataset, unfinished or from a newer version.
     """
     path = Path(path).expanduser()
-    total = read_attributes(path).flights
+    total = read_attributes(path)["flights"]
     found = []
-    with damage_in_words(path):
-        for flight, fault in enumerate(flight_faults(path)):
-            found += [fault] * bool(fault)
+    try:
+        written = read_json(path / DIGESTS)
+        for flight, digest in enumerate(written["flights"]):
+            chunks = {name: store.chunk_file(path, name, flight) for name in VARIABLES}
+            if fault := _fault(chunks, digest, "a file"):
+                found.append(f"flight {flight}: {fault}")
             progress(flight + 1, total)
-        if found:
-            raise ValueError(f"{path}: {len(found)} of {total} flights are damaged: {', '.join(found)}")
-        _labelled(path)
-        if changed := changed_files(path):
-            raise ValueError(f"{path} is damaged: {', '.join(changed)}")
+        others = [_fault({name: path / name}, digest, name) for name, digest in written["others"].items()]
+        found += filter(None, others)
+    except FileNotFoundError as error:
+        found = [str(error)]
+    if found:
+        more = f" and {len(found) - 9} more" if len(found) > 9 else ""
+        raise ValueError(f"{path} is damaged: {', '.join(found[:9])}{more}; copy or generate it again")
     return total
+
+
+def _fault(files: dict[str, Path], digest: str, name: str) -> str:
+    """What is wrong with files that have one digest; empty if nothing is."""
+    missing = [name for name, file in files.items() if not file.exists()]
+    if missing:
+        return f"{missing[0]} is missing"
+    return "" if store.files_digest(files.values()) == digest else f"{name} changed since it was written"
+
+
+def refuse_damaged(path: Path) -> None:
+    """Verify a dataset, unless no file has changed in size or time stamp since the last time.
+
+    Raises:
+        ValueError: A file differs, or is missing.
+    """
+    files = sorted(file for file in path.rglob("*") if file.is_file())
+    stamps = [(str(file), file.stat().st_size, file.stat().st_mtime_ns) for file in files]
+    known = Path(user_cache_dir("quadsim")) / "verified" / fingerprint(str(path.absolute()), stamps)
+    if not known.exists():
+        verify(path)
+        with suppress(OSError):  # without a cache it is verified again the next time
+            write_whole(known, "")
 
 
 def dataset_info(path: str | Path) -> dict[str, object]:
@@ -124,8 +142,8 @@ def dataset_info(path: str | Path) -> dict[str, object]:
     }
 
 
-def read_attributes(path: Path) -> Attributes:
-    """Attributes of a dataset.
+def read_attributes(path: Path) -> dict[str, Any]:
+    """Attributes of a dataset, which may be damaged.
 
     Raises:
         FileNotFoundError: There is nothing at the path.
@@ -145,89 +163,12 @@ def read_attributes(path: Path) -> Attributes:
         found = json.loads((path / "zarr.json").read_text(encoding="utf-8"))["attributes"]
         if found["format"] != FORMAT:
             raise ValueError(f"format {found['format']}")
-        if found["format_version"] <= FORMAT_VERSION:
-            return Attributes.model_validate(found)
+        newer = found["format_version"] > FORMAT_VERSION
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise ValueError(f"{path} is not a dataset of quadsim; `quadsim generate` makes one") from error
-    raise ValueError(
-        f"{path} has format version {found['format_version']}, newer than the {FORMAT_VERSION} that this "
-        "quadsim reads: update quadsim"
-    )
-
-
-@contextmanager
-def damage_in_words(path: Path) -> Iterator[None]:
-    """Turn whatever a library says of a damaged dataset into one line that names it."""
-    try:
-        yield
-    except Exception as error:
-        if isinstance(error, ValueError | PermissionError) and str(path) in str(error):
-            raise
+    if newer:
         raise ValueError(
-            f"{path} is damaged: {type(error).__name__}: {error}; copy or generate it again"
-        ) from error
-
-
-def refuse_mislabelled(path: Path, dataset: xr.Dataset, attributes: Attributes) -> None:
-    """Compare names, dimensions, shapes, types and units with what quadsim writes.
-
-    Raises:
-        ValueError: The first that differs, what was found and what is expected.
-    """
-    rotors = dataset.sizes["rotor"]
-    lengths = {dim: rotors if dim == "rotor" else len(names) for dim, names in LABELS.items()}
-    lengths |= {"flight": attributes.flights, "time": attributes.steps}
-    expected = {dim: ((dim,), "s" if dim == "time" else None) for dim in lengths}
-    expected |= {name: (("flight",), None) for name in PER_FLIGHT}
-    expected |= {name: (("flight", "time", each.dim), each.units) for name, each in VARIABLES.items()}
-    for name, (dims, units) in expected.items():
-        found, shape = dataset[name], tuple(lengths[dim] for dim in dims)
-        if found.attrs.get("units") != units:
-            raise ValueError(f"{path}: {name} is in {found.attrs.get('units')}, should be in {units}")
-        if found.dims != dims:
-            raise ValueError(
-                f"{path}: {name} is over {', '.join(map(str, found.dims))}, should be over {', '.join(dims)}"
-            )
-        if found.shape != shape:
-            raise ValueError(f"{path} is damaged: {name} has the shape {found.shape}, should be {shape}")
-        if name in VARIABLES and found.dtype != np.float32:
-            raise ValueError(f"{path} is damaged: {name} is {found.dtype}, should be float32")
-
-
-def refuse_damaged(path: Path) -> None:
-    """Compare every file with its digest, unless none has changed in size or time stamp since the last time.
-
-    Raises:
-        ValueError: One differs, or is missing.
-    """
-    files = sorted(file for file in path.rglob("*") if file.is_file())
-    stamps = [(str(file), file.stat().st_size, file.stat().st_mtime_ns) for file in files]
-    known = Path(user_cache_dir("quadsim")) / "verified" / fingerprint(str(path.absolute()), stamps)
-    if known.exists():
-        return
-    with damage_in_words(path):
-        if faults := [*changed_files(path), *filter(None, flight_faults(path))]:
-            hint = "quadsim report --verify lists all; copy or generate it again"
-            raise ValueError(f"{path} is damaged: {faults[0]}; {hint}")
-    with suppress(OSError):  # without a cache it is verified again the next time
-        write_whole(known, "")
-
-
-def changed_files(path: Path) -> list[str]:
-    """What is wrong with files other than the chunks of flights."""
-    written = read_json(path / DIGESTS)["others"]
-    return [fault for name, digest in written.items() if (fault := _fault({name: path / name}, digest, name))]
-
-
-def flight_faults(path: Path) -> Iterator[str]:
-    """For each flight in turn what is wrong with it; empty if nothing is."""
-    for flight, digest in enumerate(read_json(path / DIGESTS)["flights"]):
-        fault = _fault({name: store.chunk_file(path, name, flight) for name in VARIABLES}, digest, "a file")
-        yield f"flight {flight}: {fault}" if fault else ""
-
-
-def _fault(files: dict[str, Path], digest: str, name: str) -> str:
-    missing = [name for name, file in files.items() if not file.exists()]
-    if missing:
-        return f"{missing[0]} is missing"
-    return "" if store.files_digest(files.values()) == digest else f"{name} changed since it was written"
+            f"{path} has format version {found['format_version']}, newer than the {FORMAT_VERSION} that this "
+            "quadsim reads: update quadsim"
+        )
+    return found

@@ -16,14 +16,13 @@ import shutil
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numcodecs.blosc
 import numpy as np
 import xarray as xr
 import zarr
 from numpy.typing import NDArray
-from pydantic import BaseModel
 from zarr.codecs import BloscCodec
 from zarr.errors import ZarrUserWarning
 
@@ -36,7 +35,7 @@ from ..runs.files import write_json, write_whole
 from ..runs.fingerprint import content_digest
 from ..vehicle import MIN_ROTORS
 
-FORMAT: Literal["quadsim flights"] = "quadsim flights"
+FORMAT = "quadsim flights"
 FORMAT_VERSION = 1
 Progress = Callable[[int, int], None]
 """progress(flights done, flights in all)."""
@@ -76,11 +75,6 @@ LABELS = {"axis": ["x", "y", "z"], "quat_axis": ["w", "x", "y", "z"], "rotor": [
 PER_FLIGHT = ("valid_steps", "end_reason")
 """Coordinates of each flight."""
 
-Seed = Annotated[int, Between(0, 2**63 - 1)]
-FLIGHTS = Between(1, 10_000_000)
-FlightCount = Annotated[int, FLIGHTS]
-Samples = Annotated[int, Between(1, 1_000_000_000)]
-
 
 class Recorded(Strict):
     """Where flights come from that were recorded, not simulated."""
@@ -100,9 +94,9 @@ class Plan(Strict):
 
     format_version: Annotated[int, Between(1, 1000)] = FORMAT_VERSION
     quadsim_version: str
-    seed: Seed = 0
-    flights: FlightCount
-    steps: Samples
+    seed: Annotated[int, Between(0, 2**63 - 1)] = 0
+    flights: Annotated[int, Between(1, 10_000_000)]
+    steps: Annotated[int, Between(1, 1_000_000_000)]
     rate_hz: SampleRate
     code: str = ""
     """Digest of the code that simulates; none where the numbers are a sensor's."""
@@ -114,21 +108,12 @@ class Plan(Strict):
         rotors = MIN_ROTORS if isinstance(self.config, Recorded) else len(self.config.vehicle.rotors)
         return LABELS | {"rotor": [*map(str, range(rotors))]}
 
-
-class Attributes(BaseModel):
-    """What a finished dataset says of itself, in the attributes of its Zarr group."""
-
-    format: Literal["quadsim flights"] = FORMAT
-    format_version: Annotated[int, Between(1, 1000)] = FORMAT_VERSION
-    quadsim_version: str
-    seed: Seed
-    flights: FlightCount
-    steps: Samples
-    rate_hz: SampleRate
-    duration_s: Annotated[float, Between(0.0, 1e7, "s")]
-    code: str = ""
-    config: str
-    """The configuration, as JSON."""
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """Attributes of the finished dataset; the configuration is JSON."""
+        about = {"format": FORMAT} | self.model_dump(exclude={"code", "config"})
+        about |= {"duration_s": self.steps / self.rate_hz, "code": self.code}
+        return about | {"config": self.config.model_dump_json()}
 
 
 class Record(NamedTuple):
@@ -221,11 +206,10 @@ def write_flights(
     numcodecs.blosc.use_threads = False  # several threads would order the blocks of a chunk by chance
     group = zarr.open_group(store, mode="r+")
     for name, array in values.items():
-        for flight in flights:  # Zarr would decode what is there, which may be cut short
-            chunk_file(store, name, flight).unlink(missing_ok=True)
         stored = group[name]
         assert isinstance(stored, zarr.Array)
-        stored.set_orthogonal_selection((np.asarray(flights),), array)
+        for row, flight in enumerate(flights):
+            stored[flight] = array[row]
     for flight, end in zip(flights, held, strict=True):
         record = Record(*end, chunks_digest(store, flight))
         write_whole(folder / "flights" / f"{flight:05d}.json", json.dumps(record._asdict()))
@@ -285,11 +269,6 @@ def finish(folder: Path, plan: Plan, out: Path) -> None:
 
 
 def _write_coordinates(store: Path, plan: Plan, records: Sequence[Record]) -> None:
-    about = Attributes(
-        **plan.model_dump(exclude={"config"}),
-        config=plan.config.model_dump_json(),
-        duration_s=plan.steps / plan.rate_hz,
-    )
     time = {"units": "s", "long_name": "time since the start of the flight"}
     valid = {"long_name": "valid samples; any later ones repeat the last of them"}
     reason = {"long_name": "why the flight ended early; empty if it lasted its full time"}
@@ -304,7 +283,7 @@ def _write_coordinates(store: Path, plan: Plan, records: Sequence[Record]) -> No
     encoding = {name: {"chunks": values.shape} for name, (_, values, _) in coordinates.items()}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ZarrUserWarning)  # other readers may ignore consolidated metadata
-        xr.Dataset(coords=coordinates, attrs=about.model_dump()).to_zarr(
+        xr.Dataset(coords=coordinates, attrs=plan.attributes).to_zarr(
             store, mode="a", consolidated=True, zarr_format=3, encoding=encoding
         )
 

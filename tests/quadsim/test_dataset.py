@@ -288,7 +288,7 @@ def test_what_is_not_a_dataset_is_refused(tmp_path):
     (tmp_path / "folder.zarr").mkdir()
     for name, attributes in (
         ("other", {"title": "x"}),
-        ("odd", {"format": "quadsim flights", "format_version": 1}),
+        ("odd", {"format": "quadsim flights", "format_version": "one"}),
     ):
         (tmp_path / f"{name}.zarr").mkdir()
         (tmp_path / f"{name}.zarr" / "zarr.json").write_text(json.dumps({"attributes": attributes}))
@@ -308,7 +308,11 @@ def test_a_newer_format_is_refused(own):
 
 @pytest.mark.parametrize(
     ("name", "old", "new"),
-    [("gyro/zarr.json", "rad/s", "deg/s"), ("zarr.json", '\\"mass\\":0.716', '\\"mass\\":0.816')],
+    [
+        ("gyro/zarr.json", "rad/s", "deg/s"),
+        ("zarr.json", "rad/s", "deg/s"),
+        ("zarr.json", '\\"mass\\":0.716', '\\"mass\\":0.816'),
+    ],
 )
 def test_an_edited_unit_or_configuration_is_refused(own, name, old, new):
     text = (own / name).read_text()
@@ -356,11 +360,9 @@ def test_verify_names_the_damaged_flights(own):
     (own / "accel" / "c.1.0.0").unlink()
     os.truncate(own / "gyro" / "c.2.0.0", 100)
     swap(own / "gyro" / "c.3.0.0", own / "velocity" / "c.3.0.0")
-    with pytest.raises(ValueError, match="3 of 7 flights are damaged") as caught:
+    changed = ", ".join(f"flight {flight}: a file changed since it was written" for flight in (2, 3))
+    with pytest.raises(ValueError, match=f"damaged: flight 1: accel is missing, {changed}; copy"):
         verify(own)
-    changed = [f"flight {flight}: a file changed" for flight in (2, 3)]
-    for fault in ("flight 1: accel is missing", *changed):
-        assert fault in str(caught.value)
 
 
 def swap(a: Path, b: Path) -> None:
@@ -447,70 +449,9 @@ def test_a_flipped_bit_of_any_file_is_found_by_verify_whatever_the_time_stamps(o
     assert verify(own) == FLIGHTS
 
 
-def edited(path: Path, name: str, **changes: object) -> None:
-    """Change the metadata of an array, where it is written and where Zarr gathers it."""
-    whole = json.loads((path / "zarr.json").read_text())
-    array = whole["consolidated_metadata"]["metadata"][name]
-    array |= changes
-    (path / "zarr.json").write_text(json.dumps(whole))
-    (path / name / "zarr.json").write_text(json.dumps(array))
-
-
-@pytest.mark.parametrize(
-    ("name", "changes", "message"),
-    [
-        ("gyro", {"attributes": {"units": "deg/s"}}, "gyro is in deg/s, should be in rad/s"),
-        ("accel", {"attributes": {}}, r"accel is in None, should be in m/s\^2"),
-        ("time", {"attributes": {"units": "ms"}}, "time is in ms, should be in s"),
-        (
-            "quat",
-            {"dimension_names": ["time", "flight", "quat_axis"]},
-            "damaged: .*conflicting sizes.*quat",
-        ),
-        ("valid_steps", {"shape": [3]}, "damaged: .*conflicting sizes.*valid_steps"),
-        ("wind", {"data_type": "float64"}, "wind is float64, should be float32"),
-    ],
-)
-def test_labels_that_quadsim_does_not_write_are_refused_on_opening(own, name, changes, message):
-    whole = (own / name / "zarr.json").read_text()
-    old = json.loads(whole)
-    if "attributes" in changes:
-        changes = {"attributes": {"long_name": old["attributes"]["long_name"], **changes["attributes"]}}
-    edited(own, name, **changes)
-    for look in (open_dataset, verify, dataset_info):
-        with pytest.raises(ValueError, match=message):
-            look(own)
-
-
-def test_attributes_of_the_wrong_type_are_one_line(own):
-    whole = json.loads((own / "zarr.json").read_text())
-    for key in ("seed", "flights", "steps", "rate_hz", "duration_s", "config"):
-        for value in ("x", None, [1], -1, 1e300):
-            attributes = whole["attributes"] | {key: value}
-            (own / "zarr.json").write_text(json.dumps(whole | {"attributes": attributes}))
-            with pytest.raises(ValueError, match=r"\.zarr"):
-                dataset_info(own)
-
-
-def test_metadata_of_arrays_of_the_wrong_type_are_one_line(own):
-    whole = json.loads((own / "zarr.json").read_text())
-    for key, value in (
-        ("shape", "x"),
-        ("shape", [1, 2]),
-        ("data_type", "int8"),
-        ("codecs", 3),
-        ("shape", None),
-    ):
-        metadata = json.loads(json.dumps(whole))
-        metadata["consolidated_metadata"]["metadata"]["gyro"][key] = value
-        (own / "zarr.json").write_text(json.dumps(metadata))
-        with pytest.raises(ValueError, match=r"\.zarr"):
-            open_dataset(own)
-
-
 def test_files_are_looked_at_once_and_again_when_one_changes(own, monkeypatch):
-    looked, faults = [], reading.flight_faults
-    monkeypatch.setattr(reading, "flight_faults", lambda path: looked.append(path) or faults(path))
+    looked = []
+    monkeypatch.setattr(reading, "verify", looked.append)
     open_dataset(own)
     open_dataset(own)
     assert looked == [own]
