@@ -6,24 +6,26 @@ from typing import Annotated
 import typer
 
 from ..runs.console import output as console
-from ..runs.console import pool_of, progress_bar
-from .logs import convert_logs
-from .options import Imu, LearningSeed, Mount, Pool, RecipeFields, Truth, fields_of
+from ..runs.console import pool_of, progress_bar, say
+from .options import Force, Imu, LearningSeed, Mount, Pool, Truth, fields_of
 
 
 def generate(
     out: Annotated[Path, typer.Option(help="Folder of the new dataset, for example data/train.zarr.")],
     flights: Annotated[int, typer.Option(min=1, help="Number of flights.")] = 35,
     duration: Annotated[float, typer.Option(min=0.1, help="Length of each flight in seconds.")] = 100.0,
-    recipe: Annotated[
-        str, typer.Option(help="What to simulate: a shipped recipe or a TOML file.")
-    ] = "hummingbird",
-    set_: RecipeFields = None,
+    recipe: Annotated[str, typer.Option(help="A shipped recipe or a TOML file.")] = "hummingbird",
+    set_: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            help="Change of the recipe, as name=value: vehicle or imu (a shipped name or a TOML file), "
+            "engine (auto, mujoco), any key of a recipe, or rate (default: 200 Hz). Repeat for more.",
+        ),
+    ] = None,
     seed: LearningSeed = 0,
     workers: Pool = None,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace an existing dataset at --out.")
-    ] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an existing dataset.")] = False,
 ) -> None:
     """Generate labelled synthetic flights: IMU readings with true motion, biases and wind.
 
@@ -79,16 +81,12 @@ def export(
             "For logs: zarr (a dataset)."
         ),
     ],
-    piece: Annotated[
-        float, typer.Option(min=1, help="For logs: length of the pieces without gaps, in seconds.")
-    ] = 20.0,
+    piece: Annotated[float, typer.Option(min=1, help="For logs: length of the pieces, in seconds.")] = 20.0,
     rate: Annotated[float, typer.Option(min=50, max=2000, help="For logs: samples per second.")] = 200.0,
     mount: Mount = None,
     truth: Truth = None,
     imu: Imu = None,
-    force: Annotated[
-        bool, typer.Option("--force", help="For logs: continue even if units or axes look wrong.")
-    ] = False,
+    force: Force = False,
 ) -> None:
     """Convert a dataset or a network to another tool's format, or logs to a dataset.
 
@@ -105,7 +103,14 @@ def export(
     from ..dataset.export import export as export_dataset
 
     if format == "zarr":
-        convert_logs([Path(each) for each in source], out, piece, rate, mount, truth, imu, force)
+        from ..logs import read_parts, read_recording, refused
+        from ..logs.convert import convert
+
+        recordings = [read_recording(file, mount=mount, truth=truth, imu=imu) for file in source]
+        logs = [part for each in recordings for part in read_parts(each, rate)]
+        for fault in refused([log.attrs["log"] for log in logs], force):
+            say(f"warning: {fault}", "yellow")
+        convert(logs, out, piece)
         return
     if len(source) > 1:
         raise ValueError(f"--format {format} is of one dataset or network, not of {len(source)}")

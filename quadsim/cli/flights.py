@@ -9,13 +9,7 @@ import typer
 from ..runs.console import output as console
 from ..runs.console import progress_bar
 from ..runs.files import alone
-from .options import (
-    OWN_CONTROLLER,
-    ConditionFields,
-    Pool,
-    Seed,
-    Workers,
-)
+from .options import OWN_CONTROLLER, ConditionFields, Duration, Pool, Seed, Workers
 
 
 def fly(
@@ -24,30 +18,19 @@ def fly(
     ],
     estimator: Annotated[
         str,
-        typer.Option(
-            help="Estimator that gives the attitude: a name, weights (.safetensors) or your own "
-            "file.py:Class."
-        ),
+        typer.Option(help="Estimator: a name, weights (.safetensors) or your own file.py:Class."),
     ] = "att-snn-loihi",
-    controller: Annotated[str, typer.Option(help=f"Attitude controller: {OWN_CONTROLLER}.")] = "cascaded",
+    controller: Annotated[str, typer.Option(help=OWN_CONTROLLER)] = "cascaded",
     out: Annotated[
         Path | None,
-        typer.Option(
-            help="Folder for the results; default: reports/fly-SCENARIO-ESTIMATOR, with other choices "
-            "appended."
-        ),
+        typer.Option(help="Folder; default: reports/fly-SCENARIO-ESTIMATOR, with other choices appended."),
     ] = None,
-    duration: Annotated[
-        float | None, typer.Option(min=0.1, help="Length in seconds; default: the scenario's.")
-    ] = None,
+    duration: Duration = None,
     seeds: Annotated[int, typer.Option(min=1, max=10_000, help="Number of flights.")] = 1,
     set_: ConditionFields = None,
     seed: Seed = 0,
     flight: Annotated[
-        int,
-        typer.Option(
-            min=0, max=9999, help="Number of the first flight, as in flights.parquet of quadsim bench."
-        ),
+        int, typer.Option(min=0, max=9999, help="First flight, by its number in flights.parquet of bench.")
     ] = 0,
     video: Annotated[bool, typer.Option("--video", help="Write an MP4 of the first flight.")] = False,
 ) -> None:
@@ -106,9 +89,7 @@ def bench(
     ] = "suite",
     scenario: Annotated[
         list[str] | None,
-        typer.Option(
-            help="Scenario to fly; repeat the option to add more. Default: those of the experiment."
-        ),
+        typer.Option(help="Scenario; repeat the option to add more. Default: those of the experiment."),
     ] = None,
     estimator: Annotated[
         list[str] | None,
@@ -120,19 +101,14 @@ def bench(
     controller: Annotated[
         list[str] | None,
         typer.Option(
-            help=f"Attitude controller: {OWN_CONTROLLER}. Repeat the option to add more; each flies with "
-            "every estimator."
+            help=f"{OWN_CONTROLLER} Repeat the option to add more; each flies with every estimator."
         ),
     ] = None,
     seeds: Annotated[
         int | None,
-        typer.Option(
-            min=1, max=10_000, help="Flights of each estimator in each scenario; default: the experiment's."
-        ),
+        typer.Option(min=1, max=10_000, help="Flights in each cell; default: the experiment's."),
     ] = None,
-    duration: Annotated[
-        float | None, typer.Option(min=0.1, help="Length in seconds; default: the scenarios'.")
-    ] = None,
+    duration: Duration = None,
     set_: ConditionFields = None,
     seed: Annotated[
         int | None, typer.Option(min=0, help="Seed of all random numbers; default: the experiment's.")

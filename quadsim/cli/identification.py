@@ -5,7 +5,6 @@ from typing import Annotated
 
 import typer
 
-from .logs import calibrate_imu
 from .options import Imu, Mount
 
 
@@ -55,7 +54,13 @@ def identify(
     if still:
         if len(files) > 1:
             raise ValueError(f"--still is of one log, not of {len(files)}")
-        calibrate_imu(files[0], out or Path("my-imu.toml"), mount, imu)
+        from ..logs import read_recording
+        from ..logs.allan import calibrate, show_calibration
+
+        out = out or Path("my-imu.toml")
+        if out.suffix != ".toml" or out.absolute() == files[0].absolute():
+            raise ValueError(f"{out}: an IMU file ends in .toml, and is not the log")
+        show_calibration(calibrate(read_recording(files[0], mount=mount, imu=imu)), out)
         return
     from ..identify.report import identify_files
 

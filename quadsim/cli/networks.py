@@ -2,21 +2,15 @@
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from ..runs.console import Bar, progress_bar
 from ..runs.console import output as console
 from ..runs.pool import process_count
-from .options import (
-    Fields,
-    Initial,
-    LearningSeed,
-    Preset,
-    Search,
-    fields_of,
-)
+from ..runs.record import command_line
+from .options import LearningSeed, fields_of
 
 if TYPE_CHECKING:
     from training.config import TrainConfig
@@ -32,12 +26,15 @@ def train(
         typer.Option(help="Dataset to train on; repeat the option to mix several. Controllers take none."),
     ] = None,
     model: Annotated[
+        str, typer.Option(help="For networks of layers: att-snn, which spikes, or att-rnn, in floats.")
+    ] = "att-snn",
+    preset: Annotated[
         str,
         typer.Option(
-            help="With a preset of networks of layers: att-snn, which spikes, or att-rnn, in floats."
+            help="att-snn: the circuit that ships, for any IMU. tune: continues it on your logs. paper: the "
+            "paper's network of layers. control-attitude: a controller. Or a TOML file."
         ),
     ] = "att-snn",
-    preset: Preset = "att-snn",
     validation: Annotated[
         list[Path] | None,
         typer.Option(
@@ -48,7 +45,13 @@ def train(
     epochs: Annotated[
         int | None, typer.Option(min=1, help="Maximum number of epochs; default: the preset's.")
     ] = None,
-    set_: Fields = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            help="Any other setting, as name=value or table.name=value. An unknown name prints the list.",
+        ),
+    ] = None,
     seed: LearningSeed = 0,
 ) -> None:
     """Train a spiking network for the chip, or its twin in floats.
@@ -137,22 +140,17 @@ def tune(
     particles: Annotated[int, typer.Option(min=2, help="Number of parameter sets in the swarm.")] = 100,
     iterations: Annotated[int, typer.Option(min=1, help="Number of iterations.")] = 50,
     flights: Annotated[
-        int | None, typer.Option(min=1, help="Number of flights to use from each dataset; default: all.")
+        int | None, typer.Option(min=1, help="Number of flights of each dataset; default: all.")
     ] = None,
     pieces: Annotated[
-        int,
-        typer.Option(
-            min=1, help="Number of parts that each flight is cut into; all but the first begin in motion."
-        ),
+        int, typer.Option(min=1, help="Parts of each flight; all but the first begin in motion.")
     ] = 1,
     initial: Annotated[
-        Initial, typer.Option(help="Whether the filter is given its initial attitude.")
+        Literal["unknown", "known"], typer.Option(help="Whether the filter is given its initial attitude.")
     ] = "unknown",
     search: Annotated[
-        Search,
-        typer.Option(
-            help="Search method: swarm (the paper's) or evolution (scipy's differential evolution)."
-        ),
+        Literal["swarm", "evolution"],
+        typer.Option(help="swarm: the paper's. evolution: scipy's differential evolution."),
     ] = "swarm",
     seed: LearningSeed = 0,
 ) -> None:
@@ -169,11 +167,6 @@ def tune(
     from ..dataset.reading import open_dataset
 
     datasets = [open_dataset(path) for path in data]
-    options = [f"--data {path}" for path in data]
-    options += [f"--particles {particles} --iterations {iterations}"]
-    options += [f"--flights {flights}"] * (flights is not None)
-    options += [f"--pieces {pieces}"] * (pieces > 1)
-    options += [f"--initial {initial} --search {search} --seed {seed} --out {out}"]
     for name in tunable() if estimator == "all" else [estimator]:
         with progress_bar(f"tune {name}", "iterations") as bar:
 
@@ -186,7 +179,7 @@ def tune(
                 SearchSettings(search, particles, iterations, seed),
                 FlightSelection(flights, pieces, initial),
                 workers=process_count(None, particles),
-                command=f"quadsim tune --estimator {name} {' '.join(options)}",
+                command=command_line(),
                 progress=progress,
             )
         write_tuning(out, name, tuned, f"Tuned on {', '.join(map(str, data))} (quadsim tune)")

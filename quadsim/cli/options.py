@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
-Initial = Literal["unknown", "known"]
-Search = Literal["swarm", "evolution"]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of all random numbers.")]
 
 
@@ -35,30 +33,6 @@ Pool = Annotated[
         help="Number of worker processes (default: one per CPU), or a Dask scheduler, tcp://HOST:8786.",
     ),
 ]
-Preset = Annotated[
-    str,
-    typer.Option(
-        help="att-snn: the circuit that ships, for any IMU. tune: continues it on your logs. paper: the "
-        "paper's network of layers. control-attitude: a controller. Or a TOML file."
-    ),
-]
-Fields = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        help="Any other setting of the training, as name=value or table.name=value. An unknown name prints "
-        "the list.",
-    ),
-]
-RecipeFields = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        help="Change of the recipe, as name=value: vehicle or imu (a shipped name or a TOML file), "
-        "engine (auto, mujoco), any key of a recipe, or rate (samples per second; "
-        "default: 200). Repeat for more.",
-    ),
-]
 ConditionFields = Annotated[
     list[str] | None,
     typer.Option(
@@ -82,9 +56,11 @@ Truth = Annotated[
     str | None, typer.Option(help="Topic or folder of the true attitude; default: the best in the log.")
 ]
 Imu = Annotated[str | None, typer.Option(help="Topic of the IMU in a ROS bag.")]
+Force = Annotated[bool, typer.Option("--force", help="For logs: use them even if units or axes look wrong.")]
+Duration = Annotated[float | None, typer.Option(min=0.1, help="Length in seconds; default: the scenario's.")]
 OWN_CONTROLLER = (
-    "cascaded, a spiking controller's weights, or your own file.py:make, a function of sample rate and "
-    "vehicle. Any but cascaded replaces the cascade's loops of attitude and body rate"
+    "Attitude controller: cascaded, a spiking controller's weights, or your own file.py:make, a function of "
+    "sample rate and vehicle. Any but cascaded replaces the cascade's loops of attitude and body rate."
 )
 
 

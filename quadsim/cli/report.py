@@ -7,33 +7,24 @@ import typer
 
 from ..runs.console import output as console
 from ..runs.console import print_table, progress_bar
-from .logs import show_log, show_mount
 from .options import Imu, Mount, Truth
 
 
 def report(
     path: Annotated[
         str,
-        typer.Argument(
-            help="A folder of quadsim bench, a dataset (.zarr), weights (.safetensors, or a name from "
-            "quadsim list weights), or a log."
-        ),
+        typer.Argument(help="A folder of bench, a dataset (.zarr), weights (a file or a name), or a log."),
     ],
     out: Annotated[
         Path | None,
-        typer.Option(
-            help="For a benchmark: HTML file to write; default: PATH/report.html. For a dataset: picture "
-            "to write."
-        ),
+        typer.Option(help="Of a benchmark: HTML file; default: PATH/report.html. Of a dataset: picture."),
     ] = None,
     verify: Annotated[
         bool, typer.Option("--verify", help="For a dataset: compare every file with its digest.")
     ] = False,
     data: Annotated[
         list[Path] | None,
-        typer.Option(
-            help="For weights: dataset on which the neurons are recorded; repeat the option to add more."
-        ),
+        typer.Option(help="For weights: dataset on which neurons are recorded; repeat for more."),
     ] = None,
     mount: Mount = None,
     truth: Truth = None,
@@ -85,10 +76,7 @@ def report(
         report_benchmark(place, out)
     elif place.exists():
         _refuse_others(given, "a log", "--mount", "--truth", "--imu", "--find-mount")
-        if find_mount is None:
-            show_log(place, mount, truth, imu)
-        else:
-            show_mount(place, mount, truth, imu, find_mount == "level")
+        _report_log(place, mount, truth, imu, find_mount)
     else:
         raise ValueError(f"{path}: no such benchmark, dataset, weights or log")
 
@@ -97,6 +85,20 @@ def _refuse_others(given: dict[str, object], what: str, *allowed: str) -> None:
     for name, value in given.items():
         if value and name not in allowed:
             raise ValueError(f"{name} is not for {what}, which takes {', '.join(allowed)}")
+
+
+def _report_log(
+    path: Path, mount: str | None, truth: str | None, imu: str | None, find_mount: str | None
+) -> None:
+    from ..logs import read_log
+    from ..logs.log_report import show_report
+    from ..logs.mounting import estimate_mount, show_estimate
+
+    log = read_log(path, mount=mount, truth=truth, imu=imu)
+    if find_mount is None:
+        show_report(path, log.attrs["log"])
+    else:
+        show_estimate(path, estimate_mount(log, mount, find_mount == "level"))
 
 
 def _report_dataset(path: Path, verify: bool, out: Path | None) -> None:

@@ -8,7 +8,7 @@ import typer
 from ..runs.console import output as console
 from ..runs.console import print_table, progress_bar
 from ..runs.files import alone
-from .options import Mount, Seed, Workers
+from .options import Force, Mount, Seed, Workers
 
 
 def evaluate(
@@ -21,39 +21,27 @@ def evaluate(
     ] = None,
     estimator: Annotated[
         list[str] | None,
-        typer.Option(
-            help="Estimator: a name, weights or your own file.py:Class; repeat the option to add more. "
-            "Default: all."
-        ),
+        typer.Option(help="A name, weights or your own file.py:Class; repeat for more. Default: all."),
     ] = None,
     within: Annotated[
         float,
-        typer.Option(
-            min=1, max=180, help="With --logs: largest true inclination that is scored, in degrees."
-        ),
+        typer.Option(min=1, max=180, help="For logs: largest true inclination scored, in degrees."),
     ] = 45.0,
     mount: Mount = None,
     tuning: Annotated[
         str | None,
-        typer.Option(
-            help="Filter parameters: a shipped name or a TOML file; default: those for the vehicle, and for "
-            "logs the Hummingbird's."
-        ),
+        typer.Option(help="Filter parameters: a shipped name or a TOML file; default: the vehicle's."),
     ] = None,
     vehicle: Annotated[
         str | None,
         typer.Option(
-            help="Vehicle whose drag ekf-drag uses: a shipped name or a TOML file. Default: the dataset's;"
-            " a log has none."
+            help="For ekf-drag: a shipped name or a TOML file; default: the dataset's, for logs none."
         ),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for table, figures and report.")] = Path(
         "reports/evaluate"
     ),
-    force: Annotated[
-        bool,
-        typer.Option("--force", help="With --logs: score them even if units or axes look wrong."),
-    ] = False,
+    force: Force = False,
     seed: Seed = 0,
 ) -> None:
     """Compare estimators on recorded flights: errors with confidence intervals, convergence, run time.

@@ -6,12 +6,10 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-
-from pydantic import TypeAdapter
 
 from .files import read_json, write_json
 from .fingerprint import ROOT
@@ -33,9 +31,6 @@ class RunRecord:
     """Time that it took, with that of the interrupted runs that it resumed [s]."""
 
 
-_RECORD = TypeAdapter(RunRecord)
-
-
 @contextmanager
 def recorded(folder: Path) -> Iterator[None]:
     """Write `run.json` into a folder at the end of what is done inside, interrupted or not, if it exists."""
@@ -46,14 +41,17 @@ def recorded(folder: Path) -> Iterator[None]:
         if folder.is_dir():
             now = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S")
             new = RunRecord(version("quadsim"), commit(), command_line(), now, time.perf_counter() - began)
-            write_json(folder / FILE, asdict(_resumed(new, load_record(folder))))
+            old = load_record(folder)
+            if old and replace(old, date=new.date, wall_s=new.wall_s) == new:
+                new = replace(new, wall_s=new.wall_s + old.wall_s)
+            write_json(folder / FILE, asdict(new))
 
 
 def load_record(folder: Path) -> RunRecord | None:
     """The record of a folder; None where there is none."""
     try:
-        return _RECORD.validate_python(read_json(folder.expanduser() / FILE))
-    except (OSError, ValueError):
+        return RunRecord(**read_json(folder.expanduser() / FILE))
+    except (OSError, ValueError, TypeError):
         return None
 
 
@@ -74,10 +72,3 @@ def commit() -> str:
         return git("describe", "--always", "--dirty", "--exclude=*") if ours else ""
     except OSError:  # no git
         return ""
-
-
-def _resumed(new: RunRecord, old: RunRecord | None) -> RunRecord:
-    """The same command of the same code goes on with what it left: their times add up."""
-    if old is None or (old.version, old.commit, old.command) != (new.version, new.commit, new.command):
-        return new
-    return RunRecord(new.version, new.commit, new.command, new.date, new.wall_s + old.wall_s)

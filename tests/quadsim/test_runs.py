@@ -41,14 +41,6 @@ def test_a_file_is_whole_or_as_it_was(tmp_path):
     assert path.read_bytes() == b"after"
 
 
-def test_permissions_are_as_the_umask_says(tmp_path):
-    before = os.umask(0o027)
-    try:
-        assert write_whole(tmp_path / "x", "").stat().st_mode & 0o777 == 0o640
-    finally:
-        os.umask(before)
-
-
 def test_a_folder_that_is_a_file_is_named(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(NotADirectoryError, match="Not a directory"):
@@ -231,27 +223,18 @@ def test_a_function_is_compiled_by_one_process_at_a_time():
         pass
 
 
-def test_an_index_of_other_source_is_not_unpickled():
-    """It may name classes that are gone."""
+@pytest.mark.parametrize("content", [b"", pickle.dumps(numba.__version__) + b"cgone\nGone\n."])
+def test_an_index_that_was_cut_short_or_is_of_other_source_is_written_anew(content):
+    """One of other source is not unpickled: it may name classes that are gone."""
 
-    def double(x):
-        return 2 * x
-
-    index = Path(njit(cache=True)(double)._cache._cache_file._index_path)
-    index.parent.mkdir(parents=True, exist_ok=True)
-    index.write_bytes(pickle.dumps(numba.__version__) + b"cgone\nGone\n.")
-    assert njit(cache=True)(double)(4.0) == 8.0
-
-
-def test_an_index_that_was_cut_short_is_written_anew():
     def triple(x):
         return 3 * x
 
     index = Path(njit(cache=True)(triple)._cache._cache_file._index_path)
     index.parent.mkdir(parents=True, exist_ok=True)
-    index.write_bytes(b"")
+    index.write_bytes(content)
     assert njit(cache=True)(triple)(2.0) == 6.0
-    assert index.stat().st_size > 0
+    assert index.stat().st_size > len(content)
 
 
 def test_processes_that_start_together_compile_a_function_once(tmp_path):
@@ -269,12 +252,6 @@ def test_processes_that_start_together_compile_a_function_once(tmp_path):
     command = [sys.executable, str(script)]
     both = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(2)]
     assert sorted(each.communicate()[0].strip() for each in both) == ["0", "1"]
-
-
-def test_a_folder_that_takes_no_file_is_not_writable(tmp_path):
-    assert compiled.is_writable(tmp_path / "new")
-    (tmp_path / "file").touch()
-    assert not compiled.is_writable(tmp_path / "file")
 
 
 def test_a_process_that_was_forked_compiles_with_a_lock_of_its_own(tmp_path):
@@ -311,13 +288,9 @@ def test_a_record_adds_up_the_time_of_runs_of_the_same_command(tmp_path, monkeyp
         pass
     assert load_record(tmp_path).command == "quadsim bench"
     assert load_record(tmp_path).wall_s < 1.0
-
-
-def test_a_run_that_was_refused_leaves_no_record(tmp_path):
-    with pytest.raises(ValueError, match="no"), recorded(tmp_path / "none"):
-        raise ValueError("no")
-    assert not (tmp_path / "none").exists()
-    assert load_record(tmp_path / "none") is None
+    with recorded(tmp_path / "refused"):
+        pass
+    assert load_record(tmp_path / "refused") is None
 
 
 def test_a_script_whose_calls_its_workers_repeat_is_told_so_in_a_line(tmp_path):
