@@ -88,7 +88,7 @@ def fly_scenario(
     if video:
         try:
             marks = marks_of(first, flown, mission.rate_hz)
-            film_path = film(out / "flight.mp4", mission.vehicle, *poses, marks=marks, progress=progress)
+            film_path = film(out / "flight.mp4", mission.vehicle, *poses, marks, progress)
         except RuntimeError as error:  # no OpenGL: the report is written without it
             problem = error
     title = f"{name} with attitude from {estimator}"

@@ -7,9 +7,15 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import gaussian_filter1d
 
 from ..vehicle import Vehicle
 from .render import Scene, View, drawn_by_processor
+
+TRAIL_S = 2.0
+"""Length of the trail [s]."""
+SMOOTH_S = 0.17
+"""Standard deviation of the low-pass of the camera's path [s]."""
 
 
 class Format(NamedTuple):
@@ -47,8 +53,7 @@ def film(
     time: ArrayLike,
     position: ArrayLike,
     quat: ArrayLike,
-    format: Format | None = None,
-    marks: Marks | None = None,
+    marks: Marks,
     progress: Callable[[int, int], object] | None = None,
 ) -> Path:
     """Write a video of a flight in real time; the camera follows, and the last two seconds leave a trail.
@@ -59,8 +64,7 @@ def film(
         time: (T,) [s].
         position: (T, 3) [m].
         quat: (T, 4) quat_WB.
-        format: Size and frame rate; by default what suits the renderer.
-        marks: What to show of estimate, set-point and wind, with a clock.
+        marks: Estimate, set-point and wind, which are shown with a clock.
         progress: Called after each frame with the number of frames done and of all.
 
     Raises:
@@ -72,36 +76,21 @@ def film(
     t, p, q = (np.asarray(each, dtype=np.float64) for each in (time, position, quat))
     if t.ndim != 1 or t.size < 2:
         raise ValueError(f"time has shape {t.shape}; a film needs a flight of at least two samples")
-    width, height, fps = format or Format.suited()
+    dt = float(t[1] - t[0])
+    width, height, fps = Format.suited()
     frames = np.searchsorted(t, np.arange(t[0], t[-1], 1.0 / fps))
-    targets = _smooth(p, seconds=0.12, dt=float(t[1] - t[0]))
-    tail = max(round(2.0 / (t[1] - t[0])), 40)
+    targets = gaussian_filter1d(p, SMOOTH_S / dt, axis=0, mode="nearest")
+    tail = max(round(TRAIL_S / dt), 40)
     with (
-        closing(
-            Scene(vehicle, 2 if marks else 1, width, height, ghost=bool(marks), draft=drawn_by_processor())
-        ) as scene,
+        closing(Scene(vehicle, width, height, ghost=True, draft=drawn_by_processor())) as scene,
         imageio.get_writer(path, fps=fps, macro_block_size=2, quality=7) as video,
     ):
         for done, k in enumerate(frames, 1):
             view = View(tuple(targets[k]), distance=2.0, elevation=-18.0)
             trail = p[max(k - tail, 0) : k + 1 : tail // 40]
-            if marks is None:
-                image = scene.draw(p[k], q[k], view, trail)
-            else:
-                shown = marks.target[k], marks.wind[k], marks.text(k, float(t[k]), q[k])
-                image = scene.draw(p[[k, k]], np.stack([q[k], marks.estimate[k]]), view, trail, *shown)
+            shown = marks.target[k], marks.wind[k], marks.text(k, float(t[k]), q[k])
+            image = scene.draw(p[k], np.stack([q[k], marks.estimate[k]]), view, trail, *shown)
             video.append_data(image)  # pyright: ignore[reportAttributeAccessIssue]
             if progress is not None:
                 progress(done, len(frames))
     return Path(path)
-
-
-def _smooth(points: NDArray[np.float64], seconds: float, dt: float) -> NDArray[np.float64]:
-    """Low-pass without delay: a first-order filter forwards, then backwards."""
-    decay = np.exp(-dt / seconds)
-    out = points.copy()
-    for order in (range(1, len(out)), range(len(out) - 2, -1, -1)):
-        step = order.step
-        for k in order:
-            out[k] += decay * (out[k - step] - out[k])
-    return out

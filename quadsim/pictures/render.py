@@ -52,14 +52,13 @@ class View(NamedTuple):
 
 
 class Scene:
-    """An offscreen picture of some quadrotors, to be drawn again and again; `close` it afterwards.
+    """An offscreen picture of a quadrotor, to be drawn again and again; `close` it afterwards.
 
     Args:
         vehicle: Airframe to draw.
-        copies: Number of quadrotors in the picture.
         width: Width of the image [px].
         height: Height of the image [px].
-        ghost: Draw the last quadrotor as translucent.
+        ghost: Draw a second, translucent quadrotor.
         draft: Draw round bodies and shadows with less detail.
 
     Raises:
@@ -69,7 +68,6 @@ class Scene:
     def __init__(
         self,
         vehicle: Vehicle,
-        copies: int = 1,
         width: int = 960,
         height: int = 540,
         ghost: bool = False,
@@ -77,9 +75,9 @@ class Scene:
     ):
         self._context = _gl_context(width, height)
         self._context.make_current()
-        self.model = scene_model(vehicle, copies, width, height, draft)
+        self.model = scene_model(vehicle, 1 + ghost, width, height, draft)
         if ghost:
-            own = self.model.geom_bodyid == self.model.body(f"quadrotor{copies - 1}").id
+            own = self.model.geom_bodyid == self.model.body("quadrotor1").id
             self.model.geom_matid[own], self.model.geom_rgba[own] = -1, GHOST_COLOUR
         self.data = mujoco.MjData(self.model)
         self._rect = mujoco.MjrRect(0, 0, width, height)
@@ -99,15 +97,15 @@ class Scene:
         wind: ArrayLike | None = None,
         text: tuple[str, str] | None = None,
     ) -> Image:
-        """Draw the quadrotors.
+        """Draw the quadrotor and its ghost.
 
         Args:
-            position: (copies, 3) or (3,) centre of mass, world [m].
-            quat: (copies, 4) or (4,) quat_WB.
+            position: (3,) centre of mass, world [m].
+            quat: (4,) quat_WB, or (2, 4) with that of the ghost.
             view: Camera.
             trail: (m, 3) points joined by a thin line [m].
             target: (3,) set-point, a small ball [m].
-            wind: (3,) an arrow above the first quadrotor, world axes [m/s].
+            wind: (3,) an arrow above the quadrotor, world axes [m/s].
             text: Words and their values, a line each, in a corner.
 
         Returns:
@@ -130,7 +128,7 @@ class Scene:
         if target is not None:
             self._add_ball(np.asarray(target, dtype=np.float64), radius=0.012 * max(view.distance, 1.0))
         if wind is not None and np.linalg.norm(wind) > CALM:
-            start = np.atleast_2d(position)[0] + [0.0, 0.0, 0.25]
+            start = np.add(position, (0.0, 0.0, 0.25))
             self._connect("ARROW", 0.012, start, start + WIND_SCALE * np.asarray(wind), WIND_COLOUR)
         self._context.make_current()
         mujoco.mjr_render(self._rect, self._scene, self._drawer)
