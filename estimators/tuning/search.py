@@ -30,15 +30,7 @@ from ..custom import is_custom
 from ..evaluation.flights import Flights, Initial, imu_of, load_flights, vehicle_of
 from ..filters.samples import squared_error
 from ..metrics import flaw_of
-from ..registry import (
-    FILTERPY,
-    airframe_constants,
-    create,
-    filter_values,
-    names,
-    parameter_sets,
-    parameters,
-)
+from ..registry import FILTERPY, airframe_constants, create, filter_values, names, parameter_sets, parameters
 from ..running import run_quietly
 from ..tuned import Tuned, load_tuning, to_toml
 
@@ -118,7 +110,7 @@ def _error_of(est: AttitudeEstimator, is_of_user: bool, flights: Flights) -> flo
 
 
 def swarm(
-    cost: Cost, first: ArrayLike, search: SearchSettings, progress: Progress | None = None
+    cost: Cost, first: ArrayLike, search: SearchSettings, progress: Progress = lambda *_: None
 ) -> SearchResult:
     """Particle swarm in the unit cube (Shi & Eberhart 1998), with the paper's weights.
 
@@ -142,8 +134,7 @@ def swarm(
         better = now < own_cost
         own[better], own_cost[better] = inside[better], now[better]
         best = own[np.argmin(own_cost)]
-        if progress is not None:
-            progress(iteration + 1, iterations, float(own_cost.min()))
+        progress(iteration + 1, iterations, float(own_cost.min()))
         r1, r2 = rng.uniform(0.0, 1.0, (2, *x.shape))
         v = 0.8 * v + 0.15 * r1 * (own - x) + 0.05 * r2 * (best - x)
         x = x + v
@@ -151,24 +142,15 @@ def swarm(
 
 
 def evolution(
-    cost: Cost, first: ArrayLike, search: SearchSettings, progress: Progress | None = None
+    cost: Cost, first: ArrayLike, search: SearchSettings, progress: Progress = lambda *_: None
 ) -> SearchResult:
     """The same by scipy's differential evolution: a check that the swarm is not in a local minimum."""
-    evaluations = done = 0
-
-    def counted(x: Array) -> Array:
-        nonlocal evaluations
-        evaluations += x.shape[1]
-        return cost(np.clip(x.T, 0.0, 1.0))
 
     def report(intermediate_result: OptimizeResult) -> None:
-        nonlocal done
-        done += 1
-        if progress is not None:
-            progress(done, search.iterations, float(intermediate_result.fun))
+        progress(intermediate_result.nit, search.iterations, float(intermediate_result.fun))
 
     result = differential_evolution(
-        counted,
+        lambda x: cost(np.clip(x.T, 0.0, 1.0)),
         [(0.0, 1.0)] * np.size(first),
         x0=np.asarray(first),
         popsize=max(1, search.particles // np.size(first)),
@@ -179,7 +161,7 @@ def evolution(
         updating="deferred",
         callback=report,
     )
-    return SearchResult(np.asarray(result.x), float(result.fun), evaluations)
+    return SearchResult(np.asarray(result.x), float(result.fun), result.nfev * len(result.population))
 
 
 SEARCHES = {"swarm": swarm, "evolution": evolution}
@@ -194,7 +176,7 @@ def tune(
     *,
     workers: int = 1,
     command: str = "estimators.tuning.search.tune",
-    progress: Progress | None = None,
+    progress: Progress = lambda *_: None,
 ) -> Tuned:
     """Tune one estimator on recorded flights.
 

@@ -39,34 +39,29 @@ def bowl(x):
 
 @pytest.mark.parametrize("search", [swarm, evolution])
 def test_searches_find_the_lowest_point(search):
-    found = search(
-        lambda x: np.sum((x - [0.2, 0.9]) ** 2, axis=1),
-        [0.5, 0.5],
-        SearchSettings(particles=60, iterations=60, seed=1),
-    )
+    asked = []
+
+    def cost(x):
+        asked.extend(x)
+        return np.sum((x - [0.2, 0.9]) ** 2, axis=1)
+
+    found = search(cost, [0.5, 0.5], SearchSettings(particles=60, iterations=60, seed=1))
     np.testing.assert_allclose(found.position, [0.2, 0.9], atol=0.02)
     assert found.cost == pytest.approx(np.sum((found.position - [0.2, 0.9]) ** 2))
+    assert found.evaluations == len(asked)
 
 
 def test_swarm_starts_again_from_its_seed_and_reports_the_lowest_cost():
-    seen = []
-    runs = [
-        swarm(
-            bowl,
-            np.full(3, 0.5),
-            SearchSettings(particles=20, iterations=8, seed=5),
-            progress=lambda *each: seen.append(each),
-        )
-        for _ in range(2)
-    ]
-    np.testing.assert_array_equal(runs[0].position, runs[1].position)
-    assert [(i, n) for i, n, _ in seen[:8]] == [(i + 1, 8) for i in range(8)]
-    costs = [cost for _, _, cost in seen[:8]]
-    assert costs == sorted(costs, reverse=True)
+    seen, first = [], np.full(3, 0.5)
+    again, once = (swarm(bowl, first, SearchSettings(particles=20, iterations=8, seed=5)) for _ in range(2))
+    np.testing.assert_array_equal(again.position, once.position)
+    other = SearchSettings(particles=20, iterations=8, seed=6)
     assert not np.array_equal(
-        runs[0].position,
-        swarm(bowl, np.full(3, 0.5), SearchSettings(particles=20, iterations=8, seed=6)).position,
+        once.position, swarm(bowl, first, other, lambda *each: seen.append(each)).position
     )
+    assert [(i, n) for i, n, _ in seen] == [(i + 1, 8) for i in range(8)]
+    costs = [cost for _, _, cost in seen]
+    assert costs == sorted(costs, reverse=True)
 
 
 def test_outside_the_cube_costs_ten_more_and_is_scored_at_the_edge():
@@ -159,16 +154,10 @@ def test_tuning_lowers_the_error(flights, name):
 
 
 def test_tuned_file_is_what_create_reads(flights, tmp_path):
-    path = tmp_path / "sub" / "mine.toml"
-    for name in ("mahony", "madgwick"):
-        tuned = tune(
-            name,
-            [flights],
-            SearchSettings(particles=6, iterations=2),
-            FlightSelection(1),
-            command=f'tune "{name}"',
-        )
-        write_tuning(path, name, tuned, "Found in a test." if name == "mahony" else "Found again.")
+    path, search = tmp_path / "sub" / "mine.toml", SearchSettings(particles=6, iterations=2)
+    for name, comment in (("mahony", "Found in a test."), ("madgwick", "Found again.")):
+        tuned = tune(name, [flights], search, FlightSelection(1), command=f'tune "{name}"')
+        write_tuning(path, name, tuned, comment)
     tables = load_tuning(path)
     assert path.read_text().startswith("# Found in a test.\n")
     assert list(tables) == ["mahony", "madgwick"]
@@ -190,9 +179,8 @@ def test_filters_that_are_tuned_at_once_all_stand_in_the_file(tmp_path):
 
 def test_filterpys_filters_take_the_values_of_ekf(flights, tmp_path):
     path = tmp_path / "mine.toml"
-    write_tuning(
-        path, "ekf", tune("ekf", [flights], SearchSettings(particles=4, iterations=1), FlightSelection(1)), ""
-    )
+    tuned = tune("ekf", [flights], SearchSettings(particles=4, iterations=1), FlightSelection(1))
+    write_tuning(path, "ekf", tuned, "")
     tables = load_tuning(path)
     assert set(tables) == {"ekf", "ekf-filterpy", "ukf-filterpy"}
     assert tables["ukf-filterpy"].values == tables["ekf"].values
@@ -202,9 +190,8 @@ def test_filterpys_filters_take_the_values_of_ekf(flights, tmp_path):
 
 def test_gain_of_a_sample_is_carried_over_to_another_rate(tmp_path, flights):
     path = tmp_path / "mine.toml"
-    write_tuning(
-        path, "complementary", tune("complementary", [flights], SearchSettings(particles=4, iterations=1)), ""
-    )
+    tuned = tune("complementary", [flights], SearchSettings(particles=4, iterations=1))
+    write_tuning(path, "complementary", tuned, "")
     fast, slow = (create("complementary", rate, tuning=path).values["gamma"] for rate in (200.0, 50.0))
     assert slow == pytest.approx(fast**4)
 
