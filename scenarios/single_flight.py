@@ -70,8 +70,6 @@ def fly_scenario(
         RuntimeError: If a video is required and there is no headless OpenGL; the other files are written by
             then.
     """
-    if flight < 0:
-        raise ValueError(f"flight is {flight}; flights count from 0")
     scenario, name = changed(load_scenario(source), changes), Path(source).name.removesuffix(".toml")
     mission = mission_of(scenario, estimator, settings)
     flown = fly(mission, settings.seed, flight)

@@ -7,7 +7,7 @@ from estimators.evaluation.comparison import evaluate
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
 from quadsim.flight.recipe import load_recipe
-from quadsim.runs.console import output, pool_of, progress_bar
+from quadsim.runs.console import output, pool_of, progress_bar, say
 from quadsim.runs.files import alone
 from quadsim.runs.record import recorded
 
@@ -69,7 +69,7 @@ def run_bench(
     settings = FlightSettings(seeds or chosen.seeds, chosen.seed or seed or 0, rate_hz, tuning)
     if not names:
         left_out = ", ".join(f"{name} ({why})" for name, why in LEFT_OUT.items())
-        output.print(f"Without {left_out}; --estimator NAME chooses.", soft_wrap=True)
+        say(f"Without {left_out}; --estimator NAME chooses.")
     flown = contenders(names or default_estimators(), controllers)
     with alone(out):
         with recorded(out), pool_of(workers) as (count, executor), progress_bar("fly", "cells") as progress:
@@ -78,8 +78,8 @@ def run_bench(
                 experiment=chosen, workers=count, executor=executor, progress=progress,
             )  # fmt: skip
         page = publish(out, results)
-    output.print(f"{results.cost}.", soft_wrap=True, markup=False)
-    say(page, results)
+    say(f"{results.cost}.")
+    print_verdict(page, results)
     if all(cell.reason for cell in results.cells):
         raise ValueError(f"no cell ran; {results.cells[0].estimator}: {results.cells[0].reason}")
 
@@ -91,7 +91,7 @@ def report_benchmark(folder: Path, out: Path | None = None) -> None:
         ValueError: If there are none.
     """
     results = load_results(folder)
-    say(publish(folder, results, out), results)
+    print_verdict(publish(folder, results, out), results)
 
 
 def demo(out: Path, *, flights: int = 6, seeds: int = 5, seed: int = 0, workers: int | None = None) -> Path:
@@ -127,11 +127,11 @@ def demo(out: Path, *, flights: int = 6, seeds: int = 5, seed: int = 0, workers:
             recorded_section(scored.rows, caption),
             files=["results.csv", "flights.parquet"],
         )
-    say(page, results)
+    print_verdict(page, results)
     return page
 
 
-def say(page: Path, results: Results) -> None:
+def print_verdict(page: Path, results: Results) -> None:
     """Print the verdict: its table, its sentence after the path of the report, and what holds for both."""
     judged = verdict(results)
     output.print(standings_table(judged))
@@ -140,10 +140,10 @@ def say(page: Path, results: Results) -> None:
     if not results.experiment.axes:  # whose point are vehicles and IMUs that nobody tuned for
         warn(results)
     for line in [f"{page}: {judged.headline}", *judged.lines]:
-        output.print(line, soft_wrap=True, markup=False)
+        say(line)
 
 
 def warn(results: Results) -> None:
     """Print what speaks against the results."""
     for line in results.warnings:
-        output.print(f"warning: {line}", style="yellow", markup=False, soft_wrap=True)
+        say(f"warning: {line}", "yellow")

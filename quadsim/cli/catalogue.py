@@ -4,12 +4,12 @@ import re
 from collections.abc import Iterable
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import typer
 from rich.table import Table
 
-from ..runs.console import output as console
+from ..runs.console import output, say
 from ..runs.fingerprint import ASSETS
 
 
@@ -46,15 +46,6 @@ HOW = {
 CASCADED = "Attitude and body rate in cascade; gains designed for phase margins."
 
 
-class Item(NamedTuple):
-    """A row of the list."""
-
-    name: str
-    description: str
-    path: str = ""
-    """Path of the user's own file; empty for a shipped name."""
-
-
 def list_names(
     kind: Annotated[
         Kind, typer.Argument(metavar="KIND", help=f"What to list: {', '.join(Kind)}.", show_choices=False)
@@ -68,23 +59,23 @@ def list_names(
     Example: quadsim list scenarios
     """
     table = Table("name", "what it is", box=None, pad_edge=False)
-    for item in items(kind):
-        table.add_row(item.path or item.name, item.description)
-    console.print(table)
-    console.print(f"Use: {HOW[kind]}", style="dim", markup=False, highlight=False)
+    for row in _rows(kind):
+        table.add_row(*row)
+    output.print(table)
+    say(f"Use: {HOW[kind]}", "dim")
 
 
-def items(kind: Kind) -> list[Item]:
-    """All names of a kind, shipped ones first."""
+def _rows(kind: Kind) -> Iterable[tuple[str, str]]:
+    """Names of a kind and what they are, shipped ones first; of the user's own, the path."""
     match kind:
         case Kind.ESTIMATORS:
             from estimators.registry import SHIPPED
 
-            return [Item(name, each.description) for name, each in SHIPPED.items()]
+            return [(name, each.description) for name, each in SHIPPED.items()]
         case Kind.CONTROLLERS:
             from estimators.networks.weights_file import shipped_controllers
 
-            return [Item("cascaded", CASCADED), *_weights(shipped_controllers())]
+            return [("cascaded", CASCADED), *_weights(shipped_controllers())]
         case Kind.WEIGHTS:
             from estimators.networks.weights_file import shipped_controllers, shipped_names
 
@@ -92,14 +83,16 @@ def items(kind: Kind) -> list[Item]:
     from ..config.toml import preset_names, shipped_folder
 
     root = shipped_folder(kind)
-    shipped = [Item(name, summary(root / f"{name}.toml")) for name in preset_names(kind)]
-    own = sorted(path for path in Path(kind).glob("*.toml") if not _ships(path, root))
-    return shipped + [Item(path.stem, summary(path), path.as_posix()) for path in own]
+    files = {name: root / f"{name}.toml" for name in preset_names(kind)}
+    own = [path for path in Path(kind).glob("*.toml") if path.resolve().parent != root.resolve()]
+    files |= {path.as_posix(): path for path in sorted(own)}
+    return [(name, summary(file)) for name, file in files.items()]
 
 
-def _weights(names: Iterable[str]) -> list[Item]:
-    cards = {card.stem: card for card in ASSETS.glob("*/*.md")}
-    return [Item(name, card_summary(cards[name].read_text("utf-8"))) for name in names]
+def _weights(names: Iterable[str]) -> list[tuple[str, str]]:
+    """Weights, with the first sentence of their card after its title."""
+    cards = {card.stem: card.read_text("utf-8") for card in ASSETS.glob("*/*.md")}
+    return [(name, first_sentence(" ".join(cards[name].split("\n\n")[1].split()))) for name in names]
 
 
 def summary(file: Path) -> str:
@@ -118,16 +111,6 @@ def summary(file: Path) -> str:
     return first_sentence(" ".join(line.strip("# ") for line in head[0].splitlines()) if head else "")
 
 
-def card_summary(text: str) -> str:
-    """First sentence of a model card, after the title."""
-    return first_sentence(" ".join(text.split("\n\n")[1].split()))
-
-
 def first_sentence(text: str) -> str:
     """The first sentence of a text."""
     return re.split(r"(?<=[.!?])\s", text, maxsplit=1)[0]
-
-
-def _ships(path: Path, root: Path) -> bool:
-    """Whether a file is a shipped one, found again from the repository's root."""
-    return path.resolve().parent == root.resolve()

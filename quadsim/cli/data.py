@@ -5,7 +5,6 @@ from typing import Annotated
 
 import typer
 
-from ..runs.console import output as console
 from ..runs.console import pool_of, progress_bar, say
 from .options import Force, Imu, LearningSeed, Mount, Pool, Truth, fields_of
 
@@ -59,11 +58,10 @@ def generate(
         )
     info = dataset_info(path)
     early = f", {info['flights_ended_early']} of them ended early" if info["flights_ended_early"] else ""
-    console.print(
+    say(
         f"{path}: {info['flights']} flights of {info['duration_s']:g} s at {info['rate_hz']:g} Hz{early}, "
         f"roll SD {info['roll_sd_deg']:.1f}°, pitch SD {info['pitch_sd_deg']:.1f}°, "
-        f"largest tilt {info['max_tilt_deg']:.0f}°, {info['size_MB']:.1f} MB",
-        soft_wrap=True,
+        f"largest tilt {info['max_tilt_deg']:.0f}°, {info['size_MB']:.1f} MB"
     )
 
 
@@ -120,4 +118,4 @@ def export(
     else:
         with progress_bar("export", "flights") as progress:
             export_dataset(source[0], out, format, progress)
-    console.print(f"{out}: {source[0]} as {format}", soft_wrap=True)
+    say(f"{out}: {source[0]} as {format}")

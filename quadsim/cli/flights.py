@@ -6,8 +6,7 @@ from typing import Annotated
 
 import typer
 
-from ..runs.console import output as console
-from ..runs.console import progress_bar
+from ..runs.console import progress_bar, say
 from ..runs.files import alone
 from .options import OWN_CONTROLLER, ConditionFields, Duration, Pool, Seed, Workers
 
@@ -68,13 +67,11 @@ def fly(
         raise ValueError(f"{scenario} did not run with {estimator}: {row.reason}")
     warn(done.results)
     for name, why in done.results.unranked.items():
-        console.print(f"{name} {why}.", soft_wrap=True, markup=False)
+        say(f"{name} {why}.")
     errors = "so there is no error to report"
     if row.error_deg is not None and row.attitude_deg is not None:
         errors = f"error {row.error_deg:.2f}°, attitude tracking error {row.attitude_deg:.2f}°"
-    console.print(
-        f"{done.report}: {row.crashes} of {row.flights} crashed, {errors}", soft_wrap=True, markup=False
-    )
+    say(f"{done.report}: {row.crashes} of {row.flights} crashed, {errors}")
 
 
 def bench(

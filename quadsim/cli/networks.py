@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from ..runs.console import Bar, progress_bar
-from ..runs.console import output as console
+from ..runs.console import Bar, progress_bar, say
 from ..runs.pool import process_count
 from ..runs.record import command_line
 from .options import LearningSeed, fields_of
@@ -93,17 +92,14 @@ def _train_network(out: Path, data: list[Path], model: str, preset: str, choices
 
         def progress(epoch: Epoch, config: "TrainConfig") -> None:
             bar(epoch.epoch + 1, config.epochs)
-            console.print(
+            say(
                 f"epoch {epoch.epoch + 1}: training loss {epoch.train_loss:.4g}, validation {epoch}, "
-                f"spike rates {epoch.rate_encoding:.3f} {epoch.rate_hidden:.3f}",
-                highlight=False,
+                f"spike rates {epoch.rate_encoding:.3f} {epoch.rate_hidden:.3f}"
             )
 
         result = train_network(model, tuple(map(str, data)), out, preset, progress, **choices)
     best = result.best
-    console.print(
-        f"{result.weights}: validation {best} at epoch {best.epoch + 1}; {result.reason}", soft_wrap=True
-    )
+    say(f"{result.weights}: validation {best} at epoch {best.epoch + 1}; {result.reason}")
     if result.reason == INTERRUPTED:
         raise KeyboardInterrupt
 
@@ -121,8 +117,8 @@ def _train_circuit(out: Path, data: list[Path], preset: str, choices: dict[str, 
         trained = train_circuit(run, out, progress)
     for name, error in trained.errors.items():
         before = f", {trained.before[name]:.2f}° before" if run.init else ""
-        console.print(f"{name}: {error:.2f}° mean absolute error{before}", soft_wrap=True)
-    console.print(f"{trained.weights}: {run.updates} updates", soft_wrap=True)
+        say(f"{name}: {error:.2f}° mean absolute error{before}")
+    say(f"{trained.weights}: {run.updates} updates")
 
 
 def tune(
@@ -184,4 +180,4 @@ def tune(
             )
         write_tuning(out, name, tuned, f"Tuned on {', '.join(map(str, data))} (quadsim tune)")
         values = ", ".join(f"{key} {value:.4g}" for key, value in tuned.values.items())
-        console.print(f"{out}: {name} {tuned.rmse_deg:.3f}° RMSE with {values}", soft_wrap=True)
+        say(f"{out}: {name} {tuned.rmse_deg:.3f}° RMSE with {values}")

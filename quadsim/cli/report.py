@@ -5,8 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from ..runs.console import output as console
-from ..runs.console import print_table, progress_bar
+from ..runs.console import output, print_table, progress_bar, say
 from .options import Imu, Mount, Truth
 
 
@@ -109,11 +108,11 @@ def _report_dataset(path: Path, verify: bool, out: Path | None) -> None:
     if verify:
         with progress_bar("verify", "flights") as progress:
             total = verify_dataset(path, progress)
-        console.print(f"{path}: all {total} flights are whole", soft_wrap=True)
+        say(f"{path}: all {total} flights are whole")
     info = dataset_info(path).items()
     print_table([(k, f"{v:.3f}" if isinstance(v, float) else v) for k, v in info if k != "config"])
     if out is not None:
-        console.print(f"{plot(path, out)}", soft_wrap=True)
+        say(f"{plot(path, out)}")
 
 
 def _report_circuit(path: str, data: list[Path]) -> None:
@@ -133,7 +132,7 @@ def _report_circuit(path: str, data: list[Path]) -> None:
         found = measure(config, parameters, data)
         print_table(found.summary())
         last += f", error {found.error_deg:.2f}°"
-    console.print(last, soft_wrap=True)
+    say(last)
 
 
 def _report_weights(weights: str, data: list[Path]) -> None:
@@ -147,10 +146,10 @@ def _report_weights(weights: str, data: list[Path]) -> None:
 
     config, tensors = load_network(weights)
     core = OnLoihi(config, tensors)
-    console.print(cores_table(core.cores))
+    output.print(cores_table(core.cores))
     last = f"{weights}: {sum(core.sizes)} neurons on {len(core.cores)} of a chip's 128 cores"
     if data:
         found = summary(config, core, load_flights([open_dataset(path) for path in data]))
         print_table(found.items())
         last += f", error {found['error']}"
-    console.print(last, soft_wrap=True)
+    say(last)

@@ -5,8 +5,7 @@ from typing import Annotated
 
 import typer
 
-from ..runs.console import output as console
-from ..runs.console import print_table, progress_bar
+from ..runs.console import print_table, progress_bar, say
 from ..runs.files import alone
 from .options import Force, Mount, Seed, Workers
 
@@ -113,4 +112,4 @@ def paper(
     rows = [(each.claim, each.verdict) for each in done.judged if each.verdict != "not judged"]
     if rows:
         print_table(rows)
-    console.print(f"{done.page}: {done.headline}", soft_wrap=True)
+    say(f"{done.page}: {done.headline}")

@@ -8,6 +8,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from pydantic import ValidationError
 
 from ..config.ranges import steps_of
@@ -129,7 +130,9 @@ def _make_way(plan: Plan, out: Path, overwrite: bool) -> bool:
 
 def _refuse_other(plan: Plan, other: dict[str, object], what: str) -> None:
     """Name the first setting in which a dataset differs from the plan, if there is one."""
-    wanted, found = _flat(plan.model_dump(mode="json")), _flat(other)
+    wanted, found = (
+        pd.json_normalize(each).iloc[0].to_dict() for each in (plan.model_dump(mode="json"), other)
+    )
     for key in sorted(wanted.keys() | found.keys(), key=lambda name: (name == "code", name)):
         if wanted.get(key) != found.get(key):
             differs = f"{key} is {found.get(key)}, not {wanted.get(key)}"
@@ -137,17 +140,6 @@ def _refuse_other(plan: Plan, other: dict[str, object], what: str) -> None:
                 f"{what} another dataset ({'it was made by other code' if key == 'code' else differs}): "
                 "choose another --out, or --overwrite it"
             )
-
-
-def _flat(tree: object, prefix: str = "") -> dict[str, object]:
-    """Leaves of nested dictionaries by dotted key."""
-    if not isinstance(tree, dict):
-        return {prefix: tree}
-    return {
-        name: leaf
-        for key, value in tree.items()
-        for name, leaf in _flat(value, f"{prefix}.{key}" if prefix else key).items()
-    }
 
 
 def _fly_all(plan: Plan, folder: Path, workers: int, executor: Executor | None, progress: Progress) -> None:

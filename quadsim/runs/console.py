@@ -64,19 +64,14 @@ def progress_bar(title: str, unit: str) -> Iterator[Bar]:
 
         def update(done: int, total: int, note: str = "") -> None:
             speed = bar.tasks[0].finished_speed or bar.tasks[0].speed
-            remarks = [f"{speed:.0f}/s" if speed >= 10 else f"{speed:.2g}/s"] if speed else []
-            bar.update(
-                task,
-                completed=done,
-                total=total,
-                note="".join(f", {r}" for r in [*remarks, *([note] * bool(note))]),
-            )
+            rate = f", {speed:.{0 if speed >= 10 else 1}f}/s" if speed else ""
+            bar.update(task, completed=done, total=total, note=rate + (f", {note}" if note else ""))
 
         try:
             yield update
         except Exception:  # refused before anything was done: the line that says why stands alone
-            bar.live.transient = bar.tasks[0].completed == 0
-            if bar.live.transient:
+            if bar.tasks[0].completed == 0:
+                bar.live.transient = True
                 bar.remove_task(task)
             raise
 
