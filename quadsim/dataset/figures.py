@@ -55,13 +55,11 @@ def plot(path: str | Path, out_png: str | Path) -> Path:
         The path of the picture.
 
     Raises:
-        ValueError: Not a dataset, nothing in it, or no such picture format.
+        ValueError: Not a dataset, no valid sample in it, or no such picture format.
         OSError: The picture cannot be written.
     """
     dataset, out = open_dataset(path), Path(out_png).expanduser()
     rate_hz, valid = dataset.attrs["rate_hz"], dataset["valid_steps"].to_numpy()
-    if not valid.any():
-        raise ValueError(f"{path}: every flight ended before its first sample; there is nothing to draw")
     longest, every = int(valid.argmax()), max(1, int(valid.sum()) // SAMPLES)
     shown = min(int(valid[longest]), max(1, round(SHOWN_S * rate_hz)))
     series = _values(dataset.isel(flight=longest, time=slice(shown)))

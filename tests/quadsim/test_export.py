@@ -2,12 +2,14 @@ import json
 import subprocess
 from pathlib import Path
 
+import imageio.v3 as imageio
 import numpy as np
 import pytest
 import xarray as xr
 
 from quadsim.dataset import store as dataset_store
 from quadsim.dataset.export import FORMATS, export, timestamps
+from quadsim.dataset.figures import plot
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
 from quadsim.dataset.store import DIGESTS, VARIABLES, Recorded
@@ -95,44 +97,40 @@ def test_parquet_holds_every_sample_flown_as_a_row_with_units(source, tmp_path):
             assert np.array_equal(np.stack(columns, axis=-1), truth[name])
 
 
-def test_euroc_files_hold_the_samples_flown_in_nanoseconds(source, tmp_path):
-    out = export(source, tmp_path / "euroc", "csv")
+@pytest.fixture(scope="module")
+def euroc(source, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return export(source, tmp_path_factory.mktemp("euroc") / "x", "csv")
+
+
+def test_euroc_files_hold_the_samples_flown_in_nanoseconds(source, euroc):
     for flight in range(FLIGHTS):
-        mav, truth = out / f"flight_{flight:03d}" / "mav0", flown(source, flight)
+        mav, truth = euroc / f"flight_{flight:03d}" / "mav0", flown(source, flight)
         imu = np.loadtxt(mav / "imu0" / "data.csv", delimiter=",")
         state = np.loadtxt(mav / "state_groundtruth_estimate0" / "data.csv", delimiter=",")
         assert np.array_equal(imu[:, 0], np.arange(ENDS[flight]) * 5_000_000)
         assert np.array_equal(imu[:, 0], state[:, 0])
-        found = np.split(imu[:, 1:].astype("f4"), [3], axis=1)
-        found += np.split(state[:, 1:].astype("f4"), [3, 7, 10, 13], axis=1)
         names = ("gyro", "accel", "position", "quat", "velocity", "gyro_bias", "accel_bias")
-        for name, values in zip(names, found, strict=True):
-            assert np.array_equal(values, truth[name]), name
+        values = np.concatenate([imu[:, 1:], state[:, 1:]], axis=1).astype("f4")
+        assert np.array_equal(values, np.concatenate([truth[name] for name in names], axis=1))
 
 
-def test_euroc_headers_are_those_of_the_original_dataset(source, tmp_path):
-    mav = export(source, tmp_path / "euroc", "csv") / "flight_000" / "mav0"
-    assert (mav / "imu0" / "data.csv").read_text().splitlines()[0] == (
+def test_euroc_headers_and_sensor_are_those_of_the_original_dataset(euroc):
+    imu, truth = (euroc / "flight_000" / "mav0" / name for name in ("imu0", "state_groundtruth_estimate0"))
+    assert (imu / "data.csv").read_text().splitlines()[0] == (
         "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
         "a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]"
     )
-    assert (mav / "state_groundtruth_estimate0" / "data.csv").read_text().splitlines()[0] == (
+    assert (truth / "data.csv").read_text().splitlines()[0] == (
         "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z [], "
         "v_RS_R_x [m s^-1], v_RS_R_y [m s^-1], v_RS_R_z [m s^-1], "
         "b_w_RS_S_x [rad s^-1], b_w_RS_S_y [rad s^-1], b_w_RS_S_z [rad s^-1], "
         "b_a_RS_S_x [m s^-2], b_a_RS_S_y [m s^-2], b_a_RS_S_z [m s^-2]"
     )
-
-
-def test_euroc_sensor_file_states_mounting_and_noise(source, tmp_path):
     yaml = pytest.importorskip("yaml")
-    folder = export(source, tmp_path / "euroc", "csv") / "flight_000" / "mav0" / "imu0"
-    sensor = yaml.safe_load((folder / "sensor.yaml").read_text().split("\n", 1)[1])
+    sensor = yaml.safe_load((imu / "sensor.yaml").read_text().split("\n", 1)[1])
     pose = np.reshape(sensor["T_BS"]["data"], (4, 4))
     assert pose[:3, 3] == pytest.approx(IMU.lever_arm)
-    assert pose[:3, :3] @ [1, 0, 0] == pytest.approx(
-        [0, 1, 0]
-    )  # turned left: its x axis is the body's y axis
+    assert pose[:3, :3] @ [1, 0, 0] == pytest.approx([0, 1, 0])  # its x axis is the body's y axis
     assert sensor["gyroscope_noise_density"] == pytest.approx(IMU.gyro.noise)
     assert sensor["accelerometer_random_walk"] == pytest.approx(IMU.accel.random_walk)
     assert sensor["rate_hz"] == 200
@@ -180,21 +178,29 @@ def test_progress_ends_with_the_last_flight(source, tmp_path, format):
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
-def test_an_unknown_format_is_told_the_valid_ones(source, tmp_path):
-    with pytest.raises(
-        ValueError, match=r'unknown format "netcfd"; did you mean "netcdf"\? valid: netcdf, csv'
-    ):
-        export(source, tmp_path / "x", "netcfd")
-
-
-def test_nothing_is_overwritten(source, tmp_path):
+@pytest.mark.parametrize(
+    ("out", "format", "error", "text"),
+    [
+        ("x", "netcfd", ValueError, r'unknown format "netcfd"; did you mean "netcdf"\? valid: netcdf, csv'),
+        ("thesis", "csv", ValueError, "exists already"),
+        ("thesis/x.nc", "netcdf", OSError, r"cannot write .*/thesis/x.nc: "),
+    ],
+)
+def test_a_format_or_a_place_that_is_none_is_one_clear_line(source, tmp_path, out, format, error, text):
     (tmp_path / "thesis").write_text("chapter 1")
-    with pytest.raises(ValueError, match="exists already"):
-        export(source, tmp_path / "thesis", "csv")
+    with pytest.raises(error, match=text):
+        export(source, tmp_path / out, format)
     assert (tmp_path / "thesis").read_text() == "chapter 1"
 
 
-def test_a_path_that_cannot_be_written_is_one_clear_line(source, tmp_path):
-    (tmp_path / "file").touch()
-    with pytest.raises(OSError, match=r"cannot write .*/file/x.nc: "):
-        export(source, tmp_path / "file" / "x.nc", "netcdf")
+def test_a_picture_has_ink_in_every_part(source, tmp_path):
+    picture = imageio.imread(plot(source, tmp_path / "new" / "x.png"))[..., :3]
+    assert picture.shape[0] > 1000
+    assert picture.shape[1] > 1000
+    parts = [part for row in np.array_split(picture, 5) for part in np.array_split(row, 4, axis=1)]
+    assert all(np.ptp(part) > 100 for part in parts)
+
+
+def test_an_unknown_picture_format_is_refused(source, tmp_path):
+    with pytest.raises(ValueError, match="Format 'docx' is not supported"):
+        plot(source, tmp_path / "x.docx")

@@ -101,8 +101,8 @@ def test_the_command_writes_a_vehicle_and_a_picture_and_leaves_out_logs_without_
     monkeypatch.setenv("COLUMNS", "160")
     export(data[0], "log", "csv")
 
-    def run(code, *files):
-        monkeypatch.setattr("sys.argv", ["quadsim", "identify", "--rate", "200", *map(str, files)])
+    def run(code, *arguments):
+        monkeypatch.setattr("sys.argv", ["quadsim", "identify", "--rate", "200", *map(str, arguments)])
         with pytest.raises(SystemExit) as stop:
             main()
         assert stop.value.code == code
@@ -115,22 +115,3 @@ def test_the_command_writes_a_vehicle_and_a_picture_and_leaves_out_logs_without_
     assert "motor.k_f" in printed
     assert load_vehicle("mine.toml").motor.k_f == pytest.approx(TRUE.motor.k_f, rel=0.05)
     assert (tmp_path / "mine.png").is_file()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (["nowhere.zarr"], "nowhere.zarr"),
-        (["nowhere.zarr", "--out", "mine.txt"], "ends in .toml"),
-        (["nowhere.zarr", "--vehicle", "hummingbrd"], "hummingbird"),
-    ],
-)
-def test_bad_input_is_one_line(arguments, said, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("sys.argv", ["quadsim", "identify", *arguments])
-    with pytest.raises(SystemExit) as stop:
-        main()
-    error = capsys.readouterr().err.strip()
-    assert stop.value.code == 2
-    assert said in error
-    assert len(error.splitlines()) == 1
