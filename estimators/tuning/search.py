@@ -61,18 +61,6 @@ class SearchSettings:
 
 
 @dataclass(frozen=True)
-class FlightSelection:
-    """What is used of each dataset."""
-
-    count: int | None = None
-    """Flights of each dataset; None for all."""
-    pieces: int = 1
-    """Parts into which each flight is cut, all of which but the first begin in motion."""
-    initial: Initial = "unknown"
-    """Whether the filter is given the attitude it starts at."""
-
-
-@dataclass(frozen=True)
 class SearchResult:
     """Best position in the unit cube."""
 
@@ -165,15 +153,17 @@ def evolution(
 
 
 SEARCHES = {"swarm": swarm, "evolution": evolution}
-DEFAULT_SEARCH, ALL_FLIGHTS = SearchSettings(), FlightSelection()
+DEFAULT_SEARCH = SearchSettings()
 
 
 def tune(
     name: str,
     datasets: Sequence[xr.Dataset],
     search: SearchSettings = DEFAULT_SEARCH,
-    selection: FlightSelection = ALL_FLIGHTS,
     *,
+    flights: int | None = None,
+    pieces: int = 1,
+    initial: Initial = "unknown",
     workers: int = 1,
     command: str = "estimators.tuning.search.tune",
     progress: Progress = lambda *_: None,
@@ -184,7 +174,9 @@ def tune(
         name: Estimator with parameters to search.
         datasets: Training flights; constants of the vehicle and IMU come from the first.
         search: How the parameters are searched.
-        selection: What is used of each dataset.
+        flights: How many of each dataset are used; None for all.
+        pieces: Parts into which each flight is cut, all of which but the first begin in motion.
+        initial: Whether the filter is given the attitude it starts at.
         workers: Threads.
         command: What to write into the result as its origin.
         progress: Called after every iteration.
@@ -200,10 +192,10 @@ def tune(
         raise ValueError(f"{name} has no parameters to tune")
     if is_custom(name) and receives_truth(create(name, float(datasets[0].attrs.get("rate_hz", 200.0)))):
         raise ValueError(f"{name} receives the true attitude: there is nothing to tune")
-    data = upright(load_flights(datasets, selection.count).pieces(selection.pieces))
+    data = upright(load_flights(datasets, flights).pieces(pieces))
     airframe = airframe_constants(name, vehicle_of(datasets[0]))
     constants = airframe | imu_constants(name, datasets[0])
-    if selection.initial == "known":
+    if initial == "known":
         data = data.known()
 
     def values(positions: Array) -> dict[str, Array]:

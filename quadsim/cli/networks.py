@@ -157,7 +157,7 @@ def tune(
 
     Example: quadsim tune --estimator mahony --data data/train.zarr --out mine.toml
     """
-    from estimators.tuning.search import FlightSelection, SearchSettings, tunable, write_tuning
+    from estimators.tuning.search import SearchSettings, tunable, write_tuning
     from estimators.tuning.search import tune as tune_filter
 
     from ..dataset.reading import open_dataset
@@ -173,7 +173,9 @@ def tune(
                 name,
                 datasets,
                 SearchSettings(search, particles, iterations, seed),
-                FlightSelection(flights, pieces, initial),
+                flights=flights,
+                pieces=pieces,
+                initial=initial,
                 workers=process_count(None, particles),
                 command=command_line(),
                 progress=progress,

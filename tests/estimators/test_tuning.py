@@ -16,7 +16,6 @@ from estimators.registry import airframe_constants
 from estimators.tuned import Tuned, load_tuning
 from estimators.tuning.search import (
     PENALTY,
-    FlightSelection,
     SearchSettings,
     evolution,
     flown_on,
@@ -148,7 +147,7 @@ def test_tuning_lowers_the_error(flights, name):
     spec = parameters(name)
     default = {key: np.array([each.default]) for key, each in spec.items()}
     before = float(np.degrees(np.sqrt(mean_squared_error(name, default, data)[0])))
-    tuned = tune(name, [flights], SearchSettings(particles=12, iterations=5), FlightSelection(2))
+    tuned = tune(name, [flights], SearchSettings(particles=12, iterations=5), flights=2)
     assert tuned.rmse_deg <= before + 1e-5  # the default is among those tried
     assert tuned.evaluations == 60
 
@@ -156,7 +155,7 @@ def test_tuning_lowers_the_error(flights, name):
 def test_tuned_file_is_what_create_reads(flights, tmp_path):
     path, search = tmp_path / "sub" / "mine.toml", SearchSettings(particles=6, iterations=2)
     for name, comment in (("mahony", "Found in a test."), ("madgwick", "Found again.")):
-        tuned = tune(name, [flights], search, FlightSelection(1), command=f'tune "{name}"')
+        tuned = tune(name, [flights], search, flights=1, command=f'tune "{name}"')
         write_tuning(path, name, tuned, comment)
     tables = load_tuning(path)
     assert path.read_text().startswith("# Found in a test.\n")
@@ -179,7 +178,7 @@ def test_filters_that_are_tuned_at_once_all_stand_in_the_file(tmp_path):
 
 def test_filterpys_filters_take_the_values_of_ekf(flights, tmp_path):
     path = tmp_path / "mine.toml"
-    tuned = tune("ekf", [flights], SearchSettings(particles=4, iterations=1), FlightSelection(1))
+    tuned = tune("ekf", [flights], SearchSettings(particles=4, iterations=1), flights=1)
     write_tuning(path, "ekf", tuned, "")
     tables = load_tuning(path)
     assert set(tables) == {"ekf", "ekf-filterpy", "ukf-filterpy"}
