@@ -42,15 +42,10 @@ def code_digest(*names: str) -> str:
 
 
 def file_digest(path: Path) -> str:
-    """Digest of a file: of Python the code alone, of anything else the bytes."""
+    """Digest of a file: of Python the code alone, without comments and docstrings; else the bytes."""
     if path.suffix == ".py":
-        return source_digest(path.read_text("utf-8"))
+        return read_source(path.read_text("utf-8")).digest
     return content_digest(path.read_bytes())
-
-
-def source_digest(source: str) -> str:
-    """Digest of Python source that comments, docstrings and formatting do not change."""
-    return read_source(source).digest
 
 
 class Source(NamedTuple):
@@ -156,8 +151,4 @@ def _shape(node: object) -> str:
 
 def _is_docstring(node: object) -> bool:
     """Whether a statement is a string alone, which does nothing."""
-    return (
-        isinstance(node, ast.Expr)
-        and isinstance(node.value, ast.Constant)
-        and isinstance(node.value.value, str)
-    )
+    return isinstance(node, ast.Expr) and isinstance(getattr(node.value, "value", None), str)
