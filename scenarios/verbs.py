@@ -15,7 +15,7 @@ from .bench.cell import FlightSettings
 from .bench.controllers import LEFT_OUT, contenders, default_estimators
 from .bench.experiment import load_experiment
 from .bench.results import Results, load_results
-from .bench.runner import NO_CHANGES, Changes, bench
+from .bench.runner import Changes, bench
 from .bench.verdict import verdict
 from .compilation import compile_estimators
 from .report.evaluation import columns, recorded_section
@@ -32,17 +32,17 @@ SLOW_FLIGHTS = 1
 
 def run_bench(
     out: Path,
-    experiment: str = "suite",
-    scenarios: Sequence[str] | None = None,
-    names: Sequence[str] | None = None,
-    controllers: Sequence[str] = (),
-    changes: Changes = NO_CHANGES,
+    experiment: str,
+    scenarios: Sequence[str] | None,
+    names: Sequence[str] | None,
+    controllers: Sequence[str],
+    changes: Changes,
     *,
-    seeds: int | None = None,
-    seed: int | None = None,
-    rate_hz: float = 200.0,
-    tuning: str | None = None,
-    workers: str | None = None,
+    seeds: int | None,
+    seed: int | None,
+    rate_hz: float,
+    tuning: str | None,
+    workers: str | None,
 ) -> None:
     """Fly an experiment, write its tables and report, and print the verdict.
 
@@ -85,16 +85,12 @@ def run_bench(
 
 
 def report_benchmark(folder: Path, out: Path | None = None) -> None:
-    """Write the report of finished closed-loop flights again.
-
-    Raises:
-        ValueError: If there are none.
-    """
+    """Write the report of finished closed-loop flights again; a ValueError says if there are none."""
     results = load_results(folder)
     print_verdict(publish(folder, results, out), results)
 
 
-def demo(out: Path, *, flights: int = 6, seeds: int = 5, seed: int = 0, workers: int | None = None) -> Path:
+def demo(out: Path, flights: int, seeds: int, seed: int, workers: int | None) -> None:
     """Generate a few flights, score every estimator on them, fly it through four scenarios, write the report.
 
     Args:
@@ -128,7 +124,6 @@ def demo(out: Path, *, flights: int = 6, seeds: int = 5, seed: int = 0, workers:
             files=["results.csv", "flights.parquet"],
         )
     print_verdict(page, results)
-    return page
 
 
 def print_verdict(page: Path, results: Results) -> None:

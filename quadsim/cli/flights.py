@@ -151,4 +151,4 @@ def demo(
     """Run a small demonstration: generate flights, score estimators on them, fly scenarios, report."""
     from scenarios.verbs import demo as run_demo
 
-    run_demo(out, flights=flights, seeds=seeds, seed=seed, workers=workers)
+    run_demo(out, flights, seeds, seed, workers)
