@@ -44,20 +44,7 @@ def run_bench(
     tuning: str | None,
     workers: str | None,
 ) -> None:
-    """Fly an experiment, write its tables and report, and print the verdict.
-
-    Args:
-        out: Folder for the results.
-        experiment: A shipped experiment or a TOML file.
-        scenarios: In place of the experiment's.
-        names: Estimators; by default those of `default_estimators`.
-        controllers: Attitude controllers, each with every estimator.
-        changes: Fields that replace those of every scenario.
-        seeds: Flights in each cell, in place of the experiment's.
-        seed: Seed of everything random.
-        rate_hz: Samples per second.
-        tuning: Tuned parameters of filters.
-        workers: Processes, by default one for each CPU; or the address of a Dask scheduler.
+    """Fly an experiment, write its tables and report, and print the verdict: `quadsim bench`.
 
     Raises:
         ValueError: For a bad argument or file, or where no cell ran.
@@ -91,19 +78,7 @@ def report_benchmark(folder: Path, out: Path | None = None) -> None:
 
 
 def demo(out: Path, flights: int, seeds: int, seed: int, workers: int | None) -> None:
-    """Generate a few flights, score every estimator on them, fly it through four scenarios, write the report.
-
-    Args:
-        out: Folder for everything.
-        flights: Flights to generate.
-        seeds: Flights of each estimator in each scenario.
-        seed: Seed of everything random.
-        workers: Processes, by default one for each CPU.
-
-    Raises:
-        ValueError: For a bad argument.
-        OSError: If a file cannot be written.
-    """
+    """Generate flights, score every estimator on them, fly it through four scenarios: `quadsim demo`."""
     names = default_estimators()
     recipe = load_recipe("hummingbird")
     path = out.expanduser() / "flights.zarr"

@@ -7,7 +7,6 @@ the cube, which is scored at the nearest point inside.
 """
 
 import itertools
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -246,14 +245,11 @@ def tunable() -> list[str]:
 
 def flown_on(datasets: Sequence[xr.Dataset]) -> dict[str, str]:
     """Fields `vehicle` and `imu` of `Tuned`; empty where datasets differ, or the IMU is none that ships."""
-    configs = [json.loads(each.attrs.get("config", "{}")) for each in datasets]
-    vehicles = {(config.get("vehicle") or {}).get("name", "") for config in configs}
-    imus = [imu for each in datasets if (imu := imu_of(each)) is not None]
-    shipped = [name for name in preset_names("imus") if imus and all(load_imu(name) == each for each in imus)]
-    return {
-        "vehicle": vehicles.pop() if len(vehicles) == 1 else "",
-        "imu": shipped[0] if len(imus) == len(configs) and shipped else "",
-    }
+    vehicles = {vehicle.name if (vehicle := vehicle_of(each)) else "" for each in datasets}
+    shipped = [
+        name for name in preset_names("imus") if all(load_imu(name) == imu_of(each) for each in datasets)
+    ]
+    return {"vehicle": vehicles.pop() if len(vehicles) == 1 else "", "imu": shipped[0] if shipped else ""}
 
 
 def imu_constants(name: str, dataset: xr.Dataset) -> dict[str, float]:

@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
-from ..config.toml import describe, nearest
+from ..config.toml import nearest, parse
 from ..imu.spec import ImuSpec
 from ..rotation import matrix_from_quat, quat_from_euler
 from .reading import open_dataset
@@ -117,33 +116,22 @@ def _parquet(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
 
 def _euroc(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
     """A folder per flight, laid out as the EuRoC MAV dataset is; the body frame is at the centre of mass."""
-    rate_hz, imu = dataset.attrs["rate_hz"], _imu_of(dataset)
+    rate_hz = dataset.attrs["rate_hz"]
+    truth = _yaml("visual-inertial", "the simulated state itself", np.eye(4))
+    sensors = {
+        "imu0": (_imu_yaml(_imu_of(dataset), rate_hz), IMU_HEADER, ("gyro", "accel")),
+        "state_groundtruth_estimate0": (truth, TRUTH_HEADER, TRUTH),
+    }
     for flight, one in _flights(dataset, progress):
-        time = timestamps(one.sizes["time"], rate_hz)
+        time = timestamps(one.sizes["time"], rate_hz)  # float64 holds nanoseconds exactly for 104 days
         mav = out / f"flight_{flight:03d}" / "mav0"
-        _write_sensor(
-            mav / "imu0",
-            _imu_yaml(imu, rate_hz),
-            IMU_HEADER,
-            time,
-            np.concatenate([one["gyro"], one["accel"]], axis=1),
-        )
-        _write_sensor(
-            mav / "state_groundtruth_estimate0",
-            _yaml("visual-inertial", "the simulated state itself", np.eye(4)),
-            TRUTH_HEADER,
-            time,
-            np.concatenate([one[name] for name in TRUTH], axis=1),
-        )
+        for name, (yaml, header, variables) in sensors.items():
+            (mav / name).mkdir(parents=True)
+            (mav / name / "sensor.yaml").write_text(yaml, encoding="utf-8")
+            table = np.column_stack([time, *(one[variable] for variable in variables)])
+            formats = ["%d", *["%.9g"] * (table.shape[1] - 1)]
+            np.savetxt(mav / name / "data.csv", table, formats, delimiter=",", header=header, comments="")
         (mav / "body.yaml").write_text("%YAML:1.0\ncomment: simulated quadrotor\n", encoding="utf-8")
-
-
-def _write_sensor(folder: Path, sensor: str, header: str, time: NDArray[np.int64], values: Array) -> None:
-    folder.mkdir(parents=True)
-    (folder / "sensor.yaml").write_text(sensor, encoding="utf-8")
-    table = np.column_stack([time, values])  # float64 holds nanoseconds exactly for 104 days
-    formats = ["%d", *["%.9g"] * values.shape[1]]
-    np.savetxt(folder / "data.csv", table, formats, delimiter=",", header=header, comments="")
 
 
 def _yaml(sensor_type: str, comment: str, sensor_to_body: Array) -> str:
@@ -220,12 +208,7 @@ def _imu_of(dataset: xr.Dataset) -> ImuSpec | None:
     config = json.loads(dataset.attrs["config"])
     if "imu" not in config or "logs" in config:
         return None
-    try:
-        return ImuSpec.model_validate(config["imu"])
-    except ValidationError as error:
-        raise ValueError(
-            f"the IMU of this dataset is from another version: {describe(error, ImuSpec)}"
-        ) from error
+    return parse(config["imu"], ImuSpec, "the IMU of this dataset")
 
 
 FORMATS: dict[str, Callable[[xr.Dataset, Path, Progress], None]] = {
