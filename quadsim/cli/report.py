@@ -43,8 +43,8 @@ def report(
     --data, also its spikes, operations, modelled energy and error on these flights. Log: prints its contents,
     its problems, and which signal is used as the truth.
 
-    Opening a dataset checks names, dimensions, shapes and units. It compares files with their digests only if
-    the size or the time stamp of a file has changed; --verify always compares them.
+    Opening a dataset compares files with their digests only if the size or the time stamp of a file has
+    changed; --verify always compares them.
 
     Example: quadsim report reports/bench
 
