@@ -14,7 +14,7 @@ from scipy.stats import norm
 
 from ..vehicle import Vehicle
 from .model import DRAG, LAGS, UNITS, constant, lagged, predicted, with_constants
-from .signals import BAND_HZ, Flight, below_band
+from .signals import BAND_HZ, SHORTEST_S, Flight, below_band
 
 Array = NDArray[np.float64]
 
@@ -28,6 +28,7 @@ ROUNDS = 3
 """Of the fit: the size of the errors of each of the six signals is known after the first alone."""
 LEAST = 1e-3
 """Smallest value of a constant that cannot be 0, as a share of the start."""
+NO_FLIGHT = f"no {SHORTEST_S:g} s without a missing sample and with rotor speeds in rad/s"
 TYPICAL = {"motor.rotor_drag": 1e-4, "motor.rolling_moment": 1e-6, "frame.drag_area": 1e-2}
 """Scale of a constant that is 0 at the start."""
 
@@ -71,7 +72,7 @@ def identify(flights: Sequence[Flight], start: Vehicle) -> Identified:
         ValueError: No flight is long enough, has rotor speeds, or has the vehicle's rotors.
     """
     if not flights:
-        raise ValueError("no flight has 5 s without a missing sample")
+        raise ValueError(NO_FLIGHT)
     if len(rates := {flight.rate_hz for flight in flights}) > 1:
         raise ValueError(
             f"flights at {' and '.join(f'{rate:g} Hz' for rate in sorted(rates))}; one rate is required"
@@ -125,7 +126,7 @@ def _speeds(flight: Flight, start: Vehicle) -> Array:
         return flight.rotor_vel
     if flight.rotor_vel_cmd is not None:
         return lagged(start, flight, flight.rotor_vel_cmd[0])
-    raise ValueError("no rotor speeds: a vehicle's constants need them, measured or commanded, in rad/s")
+    raise ValueError(NO_FLIGHT)
 
 
 def _wanted(flights: Sequence[Flight]) -> tuple[list[str], list[str]]:

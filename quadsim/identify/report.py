@@ -9,11 +9,13 @@ import numpy as np
 import tomli_w
 from matplotlib.figure import Figure
 
+from ..dataset.reading import open_dataset
+from ..logs import read_log
 from ..runs.console import print_table, say
 from ..runs.files import save_figure, write_whole
 from ..vehicle import Vehicle, load_vehicle
-from .fit import Identified, identify
-from .signals import read_flights
+from .fit import NO_FLIGHT, Identified, identify
+from .signals import flights_of
 
 SHOWN_S = 10.0
 """Length of the part that is drawn [s]."""
@@ -23,28 +25,19 @@ ROWS = ("force x", "force y", "force z", "ang. acc. x", "ang. acc. y", "ang. acc
 def identify_files(files: Sequence[Path], vehicle: str, out: Path, rate_hz: float, mount: str | None) -> None:
     """Fit a vehicle to files of flights, write it with a picture, and print it: `quadsim identify`.
 
-    Args:
-        files: Datasets, or logs.
-        vehicle: To begin with.
-        out: Vehicle file to write; the picture gets its name.
-        rate_hz: Samples per second that logs are read at.
-        mount: Rotation from IMU to body axes of logs.
-
     Raises:
-        ValueError: `out` is no vehicle file, a file has no flight, no flight has rotor speeds, or the flights
-            do not fit the vehicle.
+        ValueError: `out` is no vehicle file, no flight has rotor speeds, or they do not fit the vehicle.
     """
     start = load_vehicle(vehicle)
     if out.suffix != ".toml":
         raise ValueError(f"{out}: a vehicle file ends in .toml")
     flights = []
     for file in files:
-        turning = [flight for flight in read_flights(file, rate_hz, mount) if flight.has_rotors]
+        data = open_dataset(file) if file.suffix == ".zarr" else read_log(file, rate_hz, mount=mount)
+        turning = [flight for flight in flights_of(data) if flight.has_rotors]
         if not turning:
-            say(f"{file}: no rotor speeds in rad/s, left out", "yellow")
+            say(f"{file}: {NO_FLIGHT}, left out", "yellow")
         flights += turning
-    if not flights:
-        raise ValueError("no rotor speeds in rad/s in any file: a vehicle's constants need them")
     found = identify(flights, start)
     rows = []
     for path, each in found.constants.to_dict("index").items():

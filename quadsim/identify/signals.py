@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -10,9 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
-from ..dataset.reading import open_dataset
 from ..dataset.stretches import longest_stretch
-from ..logs import read_log
 from ..rotation import quat_rotate_inverse
 
 Array = NDArray[np.float64]
@@ -48,19 +45,6 @@ class Flight(NamedTuple):
     def part(self, start: int, end: int) -> Flight:
         """The samples from `start` until before `end`."""
         return Flight(self.rate_hz, *(None if each is None else each[start:end] for each in self[1:]))  # pyright: ignore
-
-
-def read_flights(file: Path, log_rate_hz: float = 500.0, mount: str | None = None) -> list[Flight]:
-    """Flights of a dataset, or of a log that is read at a rate.
-
-    Raises:
-        ValueError: None is long enough.
-    """
-    dataset = file.suffix == ".zarr"
-    flights = flights_of(open_dataset(file) if dataset else read_log(file, log_rate_hz, mount=mount))
-    if not flights:
-        raise ValueError(f"{file}: no {SHORTEST_S:g} s without a missing sample")
-    return flights
 
 
 def flights_of(data: xr.Dataset) -> list[Flight]:

@@ -86,10 +86,9 @@ def test_without_attitude_the_drag_is_not_fitted_and_without_speeds_nothing(flig
     found = identify(blind, TRUE)
     assert not any("drag" in path for path in found.constants.index)
     assert "drag: it needs attitude and position or velocity" in found.missing
-    with pytest.raises(ValueError, match="no rotor speeds"):
-        identify([flight._replace(rotor_vel=None, rotor_vel_cmd=None) for flight in flights], TRUE)
-    with pytest.raises(ValueError, match="no flight has 5 s"):
-        identify([], TRUE)
+    for none in ([], [flight._replace(rotor_vel=None, rotor_vel_cmd=None) for flight in flights]):
+        with pytest.raises(ValueError, match="no 5 s without a missing sample and with rotor speeds"):
+            identify(none, TRUE)
     with pytest.raises(ValueError, match="has 6 rotors, the flights 4"):
         identify(flights, load_vehicle("hexarotor"))
 
@@ -108,10 +107,11 @@ def test_the_command_writes_a_vehicle_and_a_picture_and_leaves_out_logs_without_
         assert stop.value.code == code
         return "".join(capsys.readouterr())
 
-    assert "no rotor speeds in rad/s in any file" in run(2, "log/flight_000")
+    none = "no 5 s without a missing sample and with rotor speeds in rad/s"
+    assert f"quadsim: {none}" in run(2, "log/flight_000")
     assert not (tmp_path / "mine.toml").exists()
     printed = run(0, "log/flight_000", *data)
-    assert "log/flight_000: no rotor speeds in rad/s, left out" in printed
+    assert f"log/flight_000: {none}, left out" in printed
     assert "motor.k_f" in printed
     assert load_vehicle("mine.toml").motor.k_f == pytest.approx(TRUE.motor.k_f, rel=0.05)
     assert (tmp_path / "mine.png").is_file()
