@@ -124,7 +124,9 @@ class Scene:
         option, perturbation = mujoco.MjvOption(), mujoco.MjvPerturb()
         mujoco.mjv_updateScene(self.model, self.data, option, perturbation, camera, every, self._scene)
         if trail is not None:
-            self._add_trail(np.asarray(trail, dtype=np.float64), radius=0.0025 * max(view.distance, 2.0))
+            radius = 0.0025 * max(view.distance, 2.0)
+            for start, end in itertools.pairwise(np.asarray(trail, dtype=np.float64)):
+                self._connect("CAPSULE", radius, start, end, TRAIL_COLOUR)
         if target is not None:
             self._add_ball(np.asarray(target, dtype=np.float64), radius=0.012 * max(view.distance, 1.0))
         if wind is not None and np.linalg.norm(wind) > CALM:
@@ -151,12 +153,6 @@ class Scene:
         self.model.light_pos[sun] = np.array(view.target) - 4.0 * reach * self.model.light_dir[sun]
         self._drawer.shadowClip = reach
 
-    def _add_trail(self, points: NDArray[np.float64], radius: float) -> None:
-        for start, end in itertools.pairwise(points):
-            if self._scene.ngeom >= self._scene.maxgeom:
-                return
-            self._connect("CAPSULE", radius, start, end, TRAIL_COLOUR)
-
     def _connect(
         self,
         kind: str,
@@ -165,10 +161,11 @@ class Scene:
         end: NDArray[np.float64],
         colour: NDArray[np.float32],
     ) -> None:
-        geom, of = self._scene.geoms[self._scene.ngeom], getattr(mujoco.mjtGeom, f"mjGEOM_{kind}").value
-        mujoco.mjv_initGeom(geom, of, np.zeros(3), np.zeros(3), np.eye(3).ravel(), colour)
-        mujoco.mjv_connector(geom, of, radius, start, end)
-        self._scene.ngeom += 1
+        if self._scene.ngeom < self._scene.maxgeom:
+            geom, of = self._scene.geoms[self._scene.ngeom], getattr(mujoco.mjtGeom, f"mjGEOM_{kind}").value
+            mujoco.mjv_initGeom(geom, of, np.zeros(3), np.zeros(3), np.eye(3).ravel(), colour)
+            mujoco.mjv_connector(geom, of, radius, start, end)
+            self._scene.ngeom += 1
 
     def _add_ball(self, place: NDArray[np.float64], radius: float) -> None:
         geom, ball = self._scene.geoms[self._scene.ngeom], mujoco.mjtGeom.mjGEOM_SPHERE.value

@@ -17,6 +17,7 @@ from quadsim.vehicle import load_vehicle
 VEHICLE = load_vehicle("hummingbird")
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 VIEW = View((0.0, 0.0, 1.0))
+PLACE = (0.3, 0.0, 1.2)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -124,13 +125,14 @@ def test_the_ghost_has_the_estimated_attitude_and_lets_the_vehicle_through():
 def test_the_arrow_points_where_the_wind_blows_to():
     wind = np.array([3.0, -4.0, 0.0])
     scene = Scene(VEHICLE, 160, 90)
-    scene.draw((0, 0, 1), LEVEL, VIEW, target=(1, 0, 1), wind=wind)
+    image = scene.draw((0, 0, 1), LEVEL, VIEW, target=PLACE, wind=wind)
     ball, arrow = (scene._scene.geoms[scene._scene.ngeom - k] for k in (2, 1))
-    np.testing.assert_allclose(ball.pos, (1, 0, 1), atol=1e-6)
+    np.testing.assert_allclose(ball.pos, PLACE, atol=1e-6)
     np.testing.assert_allclose(arrow.mat[:, 2], wind / 5.0, atol=1e-6)
     assert arrow.size[2] == pytest.approx(WIND_SCALE * 5.0, rel=1e-5)
     drawn = scene._scene.ngeom
-    scene.draw((0, 0, 1), LEVEL, VIEW, target=(1, 0, 1), wind=np.zeros(3))
+    assert (scene.draw((0, 0, 1), LEVEL, VIEW, wind=wind) != image).any()
+    scene.draw((0, 0, 1), LEVEL, VIEW, target=PLACE, wind=np.zeros(3))
     assert scene._scene.ngeom == drawn - 1  # no arrow in calm air
     scene.close()
 
