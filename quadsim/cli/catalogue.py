@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Iterable
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -12,44 +11,24 @@ from rich.table import Table
 from ..runs.console import output, say
 from ..runs.fingerprint import ASSETS
 
-
-class Kind(StrEnum):
-    """Kinds of names that can be listed."""
-
-    SCENARIOS = "scenarios"
-    ESTIMATORS = "estimators"
-    CONTROLLERS = "controllers"
-    VEHICLES = "vehicles"
-    IMUS = "imus"
-    EXTERNALS = "externals"
-    RECIPES = "recipes"
-    PRESETS = "presets"
-    TUNING = "tuning"
-    WEIGHTS = "weights"
-
-
 HOW = {
-    Kind.SCENARIOS: "quadsim fly NAME; quadsim bench --scenario NAME",
-    Kind.ESTIMATORS: "--estimator NAME; also weights, or your own: file.py:Class, module:Class",
-    Kind.CONTROLLERS: "--controller NAME; also weights, or your own: file.py:make, module:make",
-    Kind.VEHICLES: "--set vehicle=NAME, or a TOML file; quadsim evaluate --vehicle NAME",
-    Kind.IMUS: "--set imu=NAME, or a TOML file",
-    Kind.EXTERNALS: "quadsim bench --set external=NAME, or a TOML file",
-    Kind.RECIPES: "quadsim generate --recipe NAME, or a TOML file",
-    Kind.PRESETS: "quadsim train --preset NAME, or a TOML file",
-    Kind.TUNING: "--set tuning=NAME, or a file written by quadsim tune; quadsim evaluate --tuning NAME",
-    Kind.WEIGHTS: "--estimator NAME; quadsim report NAME; quadsim export NAME",
+    "scenarios": "quadsim fly NAME; quadsim bench --scenario NAME",
+    "estimators": "--estimator NAME; also weights, or your own: file.py:Class, module:Class",
+    "controllers": "--controller NAME; also weights, or your own: file.py:make, module:make",
+    "vehicles": "--set vehicle=NAME, or a TOML file; quadsim evaluate --vehicle NAME",
+    "imus": "--set imu=NAME, or a TOML file",
+    "externals": "quadsim bench --set external=NAME, or a TOML file",
+    "recipes": "quadsim generate --recipe NAME, or a TOML file",
+    "presets": "quadsim train --preset NAME, or a TOML file",
+    "tuning": "--set tuning=NAME, or a file written by quadsim tune; quadsim evaluate --tuning NAME",
+    "weights": "--estimator NAME; quadsim report NAME; quadsim export NAME",
 }
-"""Commands and options that accept a name."""
-
-
+"""Kinds of names that can be listed, and the commands and options that accept a name."""
 CASCADED = "Attitude and body rate in cascade; gains designed for phase margins."
 
 
 def list_names(
-    kind: Annotated[
-        Kind, typer.Argument(metavar="KIND", help=f"What to list: {', '.join(Kind)}.", show_choices=False)
-    ],
+    kind: Annotated[str, typer.Argument(metavar="KIND", help=f"What to list: {', '.join(HOW)}.")],
 ) -> None:
     """List the names of scenarios, estimators, vehicles and so on, each with a description.
 
@@ -58,6 +37,10 @@ def list_names(
 
     Example: quadsim list scenarios
     """
+    from ..config.toml import nearest
+
+    if kind not in HOW:
+        raise ValueError(f'unknown kind "{kind}"; {nearest(kind, HOW)}')
     table = Table("name", "what it is", box=None, pad_edge=False)
     for row in _rows(kind):
         table.add_row(*row)
@@ -65,23 +48,19 @@ def list_names(
     say(f"Use: {HOW[kind]}", "dim")
 
 
-def _rows(kind: Kind) -> Iterable[tuple[str, str]]:
+def _rows(kind: str) -> Iterable[tuple[str, str]]:
     """Names of a kind and what they are, shipped ones first; of the user's own, the path."""
-    match kind:
-        case Kind.ESTIMATORS:
-            from estimators.registry import SHIPPED
+    from estimators.networks.weights_file import shipped_controllers, shipped_names
+    from estimators.registry import SHIPPED
 
-            return [(name, each.description) for name, each in SHIPPED.items()]
-        case Kind.CONTROLLERS:
-            from estimators.networks.weights_file import shipped_controllers
-
-            return [("cascaded", CASCADED), *_weights(shipped_controllers())]
-        case Kind.WEIGHTS:
-            from estimators.networks.weights_file import shipped_controllers, shipped_names
-
-            return _weights([*shipped_names(), *shipped_controllers()])
     from ..config.toml import preset_names, shipped_folder
 
+    if kind == "estimators":
+        return [(name, each.description) for name, each in SHIPPED.items()]
+    if kind == "controllers":
+        return [("cascaded", CASCADED), *_weights(shipped_controllers())]
+    if kind == "weights":
+        return _weights([*shipped_names(), *shipped_controllers()])
     root = shipped_folder(kind)
     files = {name: root / f"{name}.toml" for name in preset_names(kind)}
     own = [path for path in Path(kind).glob("*.toml") if path.resolve().parent != root.resolve()]

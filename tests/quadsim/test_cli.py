@@ -10,7 +10,7 @@ from typer.main import get_command
 
 from estimators.networks.weights_file import load_network
 from quadsim.cli import app, main
-from quadsim.cli.catalogue import Kind
+from quadsim.cli.catalogue import HOW
 from quadsim.cli.options import pair_of
 from quadsim.runs.record import load_record
 from training.loop import INTERRUPTED
@@ -93,7 +93,7 @@ def test_every_verb_explains_itself_in_eighty_columns_and_closed_boxes(printed, 
 
 
 def test_everything_that_ships_can_be_listed_with_a_sentence(printed):
-    for kind in Kind:
+    for kind in HOW:
         out = printed("list", kind)
         rows = out.splitlines()[1:-1]
         names = [row for row in rows if not row.startswith(" ")]
@@ -139,6 +139,7 @@ def test_every_verb_has_help_of_its_own():
         ("identify nowhere.zarr", "nowhere.zarr"),
         ("identify nowhere.zarr --out mine.txt", "ends in .toml"),
         ("identify nowhere.zarr --vehicle hummingbrd", "hummingbird"),
+        ("list scenario", 'unknown kind "scenario"; did you mean "scenarios"?'),
         ("fly hoover", "hover"),
         ("fly hover --estimator mahoni", "mahony"),
         ("bench --scenario hover --estimator mahoni", "mahony"),
