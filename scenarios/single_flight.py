@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -81,20 +82,18 @@ def fly_scenario(
     time = np.arange(len(first)) / mission.rate_hz
     table = np.column_stack([time, *(first[key] for key in ("position", "euler", "estimate", "target"))])
     write_csv(out / "flight.csv", [dict(zip(COLUMNS, row, strict=True)) for row in table.tolist()])
-    poses = (time, first["position"], quat_from_euler(*first["euler"].T))
-    film_path, problem = None, None
-    if video:
-        try:
-            marks = marks_of(first, flown, mission.rate_hz)
-            film_path = film(out / "flight.mp4", mission.vehicle, *poses, marks, progress)
-        except RuntimeError as error:  # no OpenGL: the report is written without it
-            problem = error
     title = f"{name} with attitude from {estimator}"
-    report = write_report(
-        out / "report.html", results, film=film_path, title=title, files=["flight.csv"], focus=estimator
+    write = partial(
+        write_report, out / "report.html", results, title=title, files=["flight.csv"], focus=estimator
     )
-    if problem:
-        raise problem
+    report = write()
+    film_path = None
+    if video:  # which may fail: the report is there by then
+        quat = quat_from_euler(*first["euler"].T)
+        marks = marks_of(first, flown, mission.rate_hz)
+        film_path = out / "flight.mp4"
+        film(film_path, mission.vehicle, time, first["position"], quat, marks, progress)
+        write(film=film_path)
     return SingleFlight(results, report, out / "flight.csv", film_path)
 
 

@@ -64,7 +64,7 @@ def progress_bar(title: str, unit: str) -> Iterator[Bar]:
 
         def update(done: int, total: int, note: str = "") -> None:
             speed = bar.tasks[0].finished_speed or bar.tasks[0].speed
-            rate = f", {speed:.{0 if speed >= 10 else 1}f}/s" if speed else ""
+            rate = f", {speed:{'.0f' if speed >= 10 else '.2g'}}/s" if speed else ""
             bar.update(task, completed=done, total=total, note=rate + (f", {note}" if note else ""))
 
         try:
