@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 Corrupt: TypeAlias = Callable[[Readings, Counts], None]
 """corrupt(readings, k): change samples (n, ·) in place, each vehicle at its own count k (n,)."""
+Change: TypeAlias = Callable[[Array, Counts], None]
+"""The same for the readings of gyroscope and accelerometer side by side, (n, 6)."""
 Randoms = list[np.random.Generator]
 """One for each vehicle."""
 BiasDeg: TypeAlias = Annotated[float, Between(-4000.0, 4000.0, "°/s")]
@@ -42,14 +44,14 @@ class OnSensor(OnAxes):
     """Sensor that it acts on."""
 
 
-def _biased(gyro: ArrayLike, accel: ArrayLike, share: Callable[[Counts], Array]) -> Corrupt:
-    """Add to the biases, of which so much is there at each count of samples."""
+def _added(gyro_deg: ArrayLike, accel: ArrayLike, after: int, length: float = 1.0) -> Change:
+    """Add to the biases, in equal parts at the `length` samples after the sample `after`."""
+    bias = np.concatenate([np.radians(gyro_deg), accel])
 
-    def corrupt(readings: Readings, k: Counts) -> None:
-        readings.gyro[:] += share(k)[:, None] * np.asarray(gyro)
-        readings.accel[:] += share(k)[:, None] * np.asarray(accel)
+    def change(imu: Array, k: Counts) -> None:
+        imu += np.clip((k - after) / length, 0.0, 1.0)[:, None] * bias
 
-    return corrupt
+    return change
 
 
 class GyroBiasStep(Strict):
@@ -61,9 +63,8 @@ class GyroBiasStep(Strict):
     at_s: Instant = 5.0
     """When [s]."""
 
-    def _corrupt(self, rate_hz: float, randoms: Randoms) -> Corrupt:
-        start = round(self.at_s * rate_hz)
-        return _biased(np.radians(self.bias_deg), np.zeros(3), lambda k: (k >= start).astype(np.float64))
+    def _change(self, rate_hz: float, randoms: Randoms) -> Change:
+        return _added(self.bias_deg, np.zeros(3), round(self.at_s * rate_hz) - 1)
 
 
 class AccelBiasStep(Strict):
@@ -75,9 +76,8 @@ class AccelBiasStep(Strict):
     at_s: Instant = 5.0
     """When [s]."""
 
-    def _corrupt(self, rate_hz: float, randoms: Randoms) -> Corrupt:
-        start = round(self.at_s * rate_hz)
-        return _biased(np.zeros(3), self.bias, lambda k: (k >= start).astype(np.float64))
+    def _change(self, rate_hz: float, randoms: Randoms) -> Change:
+        return _added(np.zeros(3), self.bias, round(self.at_s * rate_hz) - 1)
 
 
 class Vibration(OnAxes):
@@ -93,16 +93,15 @@ class Vibration(OnAxes):
     at_s: Instant = 0.0
     """From when on [s]."""
 
-    def _corrupt(self, rate_hz: float, randoms: Randoms) -> Corrupt:
+    def _change(self, rate_hz: float, randoms: Randoms) -> Change:
         start, step = round(self.at_s * rate_hz), 2 * np.pi * self.frequency_hz / rate_hz
         phase = np.stack([random.uniform(0, 2 * np.pi, 6) for random in randoms])
+        amplitude = np.repeat([np.radians(self.gyro_deg), self.accel], 3)
 
-        def corrupt(readings: Readings, k: Counts) -> None:
-            wave = (k >= start)[:, None] * np.sin(step * k[:, None] + phase)
-            readings.gyro[:] += np.radians(self.gyro_deg) * wave[:, :3]
-            readings.accel[:] += self.accel * wave[:, 3:]
+        def change(imu: Array, k: Counts) -> None:
+            imu += amplitude * ((k >= start)[:, None] * np.sin(step * k[:, None] + phase))
 
-        return corrupt
+        return change
 
 
 class Dropout(OnSensor):
@@ -116,18 +115,18 @@ class Dropout(OnSensor):
     at_s: Instant = 0.0
     """From when on [s]."""
 
-    def _corrupt(self, rate_hz: float, randoms: Randoms) -> Corrupt:
+    def _change(self, rate_hz: float, randoms: Randoms) -> Change:
         start, length = round(self.at_s * rate_hz), max(round(self.length_s * rate_hz), 1)
         left = np.zeros(len(randoms), dtype=np.int64)
 
-        def corrupt(readings: Readings, k: Counts) -> None:
+        def change(imu: Array, k: Counts) -> None:
             left[k == 0] = 0
             begins = np.array([random.random() < self.probability for random in randoms])
             left[begins & (left == 0) & (k >= start)] = length
-            readings.gyro[left > 0] = readings.accel[left > 0] = np.nan
+            imu[left > 0] = np.nan
             np.maximum(left - 1, 0, out=left)
 
-        return corrupt
+        return change
 
 
 class Stuck(OnSensor):
@@ -141,18 +140,17 @@ class Stuck(OnSensor):
     every_s: Duration | None = None
     """Again after so long [s]; left out, once."""
 
-    def _corrupt(self, rate_hz: float, randoms: Randoms) -> Corrupt:
+    def _change(self, rate_hz: float, randoms: Randoms) -> Change:
         start, length = round(self.at_s * rate_hz), max(round(self.length_s * rate_hz), 1)
         period = np.inf if self.every_s is None else max(round(self.every_s * rate_hz), length + 1)
-        last = Readings(np.zeros((len(randoms), 3)), np.zeros((len(randoms), 3)))
+        last = np.zeros((len(randoms), 6))
 
-        def corrupt(readings: Readings, k: Counts) -> None:
+        def change(imu: Array, k: Counts) -> None:
             stuck = (k >= start) & (k > 0) & ((k - start) % period < length)
-            for now, before in ((readings.gyro, last.gyro), (readings.accel, last.accel)):
-                now[stuck] = before[stuck]
-                before[:] = now
+            imu[stuck] = last[stuck]
+            last[:] = imu
 
-        return corrupt
+        return change
 
 
 class Saturation(OnAxes):
@@ -164,15 +162,14 @@ class Saturation(OnAxes):
     accel: Annotated[float, Between(0.1, 1000.0, "m/s²")] | None = None
     """Largest specific force that can be read [m/s²]."""
 
-    def _corrupt(self, rate_hz: float, randoms: Randoms) -> Corrupt:
+    def _change(self, rate_hz: float, randoms: Randoms) -> Change:
         rate = np.inf if self.gyro_deg is None else np.radians(self.gyro_deg)
-        force = np.inf if self.accel is None else self.accel
+        largest = np.repeat([rate, np.inf if self.accel is None else self.accel], 3)
 
-        def corrupt(readings: Readings, k: Counts) -> None:
-            np.clip(readings.gyro, -rate, rate, out=readings.gyro)
-            np.clip(readings.accel, -force, force, out=readings.accel)
+        def change(imu: Array, k: Counts) -> None:
+            np.clip(imu, -largest, largest, out=imu)
 
-        return corrupt
+        return change
 
 
 class BiasRamp(Strict):
@@ -188,10 +185,8 @@ class BiasRamp(Strict):
     length_s: Duration = 10.0
     """How long it takes [s]."""
 
-    def _corrupt(self, rate_hz: float, randoms: Randoms) -> Corrupt:
-        start, length = round(self.at_s * rate_hz), self.length_s * rate_hz
-        rate = np.radians(self.gyro_deg)
-        return _biased(rate, self.accel, lambda k: np.clip((k - start) / length, 0.0, 1.0))
+    def _change(self, rate_hz: float, randoms: Randoms) -> Change:
+        return _added(self.gyro_deg, self.accel, round(self.at_s * rate_hz), self.length_s * rate_hz)
 
 
 class Delay(OnSensor):
@@ -201,18 +196,16 @@ class Delay(OnSensor):
     delay_s: Annotated[float, Between(0.0, 1.0, "s")]
     """By how much; rounded to whole samples [s]."""
 
-    def _corrupt(self, rate_hz: float, randoms: Randoms) -> Corrupt:
+    def _change(self, rate_hz: float, randoms: Randoms) -> Change:
         line = np.zeros((round(self.delay_s * rate_hz) + 1, len(randoms), 6))
 
-        def corrupt(readings: Readings, k: Counts) -> None:
+        def change(imu: Array, k: Counts) -> None:
             slots, rows = len(line), np.arange(len(k))
-            now = np.hstack([readings.gyro, readings.accel])
-            line[:, k == 0] = now[k == 0]
-            line[k % slots, rows] = now
-            oldest = line[(k + 1) % slots, rows]
-            readings.gyro[:], readings.accel[:] = oldest[:, :3], oldest[:, 3:]
+            line[:, k == 0] = imu[k == 0]
+            line[k % slots, rows] = imu
+            imu[:] = line[(k + 1) % slots, rows]
 
-        return corrupt
+        return change
 
 
 SensorFault: TypeAlias = (
@@ -234,18 +227,25 @@ def sensor_faults(
         rate_hz: Samples per second.
         seed: Whole number, seed sequence, or one seed sequence per vehicle.
     """
-    seeds = vehicle_seeds(seed, n)
-    chain = [
-        _on_part(
-            fault, fault._corrupt(rate_hz, [np.random.default_rng(child(each, index)) for each in seeds])
-        )
-        for index, fault in enumerate(faults)
-        if isinstance(fault, SensorFault)
-    ]
+    chain: list[tuple[Change, NDArray[np.bool_]]] = []
+    for index, fault in enumerate(faults):
+        if isinstance(fault, SensorFault):
+            randoms = [np.random.default_rng(child(each, index)) for each in vehicle_seeds(seed, n)]
+            sensor, axes = _part(fault)
+            others = [
+                sensor not in ("both", name) or axis not in axes
+                for name in ("gyro", "accel")
+                for axis in "xyz"
+            ]
+            chain.append((fault._change(rate_hz, randoms), np.array(others)))
 
     def corrupt(readings: Readings, k: Counts) -> None:
-        for link in chain:
-            link(readings, k)
+        imu = np.hstack([readings.gyro, readings.accel])
+        for change, others in chain:
+            before = imu[:, others]
+            change(imu, k)
+            imu[:, others] = before
+        readings.gyro[:], readings.accel[:] = imu[:, :3], imu[:, 3:]
 
     return corrupt if chain else None
 
@@ -271,37 +271,23 @@ def fault_spans(faults: Sequence[SensorFault | VehicleFault], duration_s: float)
     """When the faults of a flight are there, in their order; one that comes again has as many spans."""
     spans = []
     for fault in faults:
-        label, start = _label(fault), getattr(fault, "at_s", 0.0)
-        match fault:
-            case PayloadDrop():
-                found = [FaultSpan("payload", 0.0, fault.at_s)]
-            case Stuck():
-                starts = [start] if fault.every_s is None else np.arange(start, duration_s, fault.every_s)
-                found = [FaultSpan(label, float(each), float(each) + fault.length_s) for each in starts]
-            case _:
-                found = [FaultSpan(label, start, duration_s)]
-        ends = [min(each.end_s, duration_s) for each in found]
-        spans += [e._replace(end_s=end) for e, end in zip(found, ends, strict=True) if e.start_s < end]
+        label, starts, length = _label(fault), [getattr(fault, "at_s", 0.0)], duration_s
+        if isinstance(fault, PayloadDrop):
+            label, starts, length = "payload", [0.0], fault.at_s
+        elif isinstance(fault, Stuck):
+            length = fault.length_s
+            if fault.every_s is not None:
+                starts = np.arange(fault.at_s, duration_s, fault.every_s).tolist()
+        begun = [start for start in starts if start < duration_s and length > 0.0]
+        spans += [FaultSpan(label, start, min(start + length, duration_s)) for start in begun]
     return spans
 
 
+def _part(fault: SensorFault | VehicleFault) -> tuple[str, str]:
+    """Sensors and axes that a fault acts on."""
+    return getattr(fault, "sensor", "both"), getattr(fault, "axes", "xyz")
+
+
 def _label(fault: SensorFault | VehicleFault) -> str:
-    sensor, axes = getattr(fault, "sensor", "both"), getattr(fault, "axes", "xyz")
-    parts = [part for part, whole in ((sensor, "both"), (axes, "xyz")) if part != whole]
+    parts = [part for part in _part(fault) if part not in ("both", "xyz")]
     return " ".join([fault.kind.replace("-", " "), *parts])
-
-
-def _on_part(fault: SensorFault, corrupt: Corrupt) -> Corrupt:
-    """The same on the sensor and the axes of the fault alone."""
-    sensor = getattr(fault, "sensor", "both")
-    others = np.array([axis not in getattr(fault, "axes", "xyz") for axis in "xyz"])
-    gyro, accel = (others | (sensor not in ("both", name)) for name in ("gyro", "accel"))
-    if not (gyro.any() or accel.any()):
-        return corrupt
-
-    def corrupt_part(readings: Readings, k: Counts) -> None:
-        before = readings.gyro[:, gyro], readings.accel[:, accel]
-        corrupt(readings, k)
-        readings.gyro[:, gyro], readings.accel[:, accel] = before
-
-    return corrupt_part
