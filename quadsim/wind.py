@@ -6,9 +6,7 @@ Dryden turbulence is that of MIL-F-8785C at low altitude, driven by white noise 
 has the standard deviation and the spectrum of the continuous process at any rate, from the first sample on.
 """
 
-import csv
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
@@ -17,7 +15,8 @@ from pydantic import Field
 from scipy.special import gammainc
 
 from .config.ranges import SAMPLE_RATE, WIND, Between, Duration, Instant, Rising, Speed, Wind
-from .config.toml import Strict, read_text
+from .config.series import read_series
+from .config.toml import Strict
 from .runs.compiled import njit
 from .seeding import Seed, child, vehicle_seeds
 
@@ -111,8 +110,8 @@ class WindRecording(Strict):
 
     def series(self, time: Array) -> Array:
         """Velocity of the air (T, 3) at times (T,) [s]."""
-        times, winds = read_recording(self.path)
-        return np.stack([np.interp(time, times, column) for column in winds.T], axis=-1)
+        at, *winds = read_series(self.path, WIND).T
+        return np.stack([np.interp(time, at, each) for each in winds], axis=-1)
 
 
 WindSpec: TypeAlias = Annotated[
@@ -242,40 +241,3 @@ def wind_series(specs: Sequence[WindSpec], n: int, steps: int, rate_hz: float, s
         else:
             wind += spec.series(time)
     return wind
-
-
-def read_recording(path: str | Path) -> tuple[Array, Array]:
-    """Time (rows,) [s] and wind (rows, 3) [m/s] of a CSV file with the header `t,x,y,z`.
-
-    Raises:
-        ValueError: The file or one of its rows is not as described; the line is named.
-    """
-    try:
-        text = read_text(Path(path), most_mb=100.0)
-        rows = [(line, row) for line, row in enumerate(csv.reader(text.splitlines()), start=1) if row]
-    except csv.Error as error:
-        raise ValueError(f"{path}: cannot be read: {error}") from error
-    header = [name.strip() for name in rows[0][1]] if rows else []
-    if header != ["t", "x", "y", "z"]:
-        raise ValueError(f'{path}: the first line is "{",".join(header)}"; it must be "t,x,y,z"')
-    table = np.array([_numbers(path, line, row) for line, row in rows[1:]]).reshape(-1, 4)
-    if len(table) < 2:
-        raise ValueError(f"{path}: {len(table)} rows of wind; at least 2 are needed")
-    strongest = int(np.argmax(np.abs(table[:, 1:]).max(axis=1)))
-    for speed in table[strongest, 1:]:
-        WIND.of(f"{path}, line {rows[strongest + 1][0]}: wind", speed)
-    for row in np.flatnonzero(np.diff(table[:, 0]) <= 0.0) + 1:
-        raise ValueError(
-            f"{path}, line {rows[row + 1][0]}: time {table[row, 0]:g} s does not come after the line before"
-        )
-    return table[:, 0], table[:, 1:]
-
-
-def _numbers(path: str | Path, line: int, row: list[str]) -> list[float]:
-    try:
-        numbers = [float(cell) for cell in row]
-    except ValueError:
-        numbers = []
-    if len(numbers) != 4 or not np.all(np.isfinite(numbers)):
-        raise ValueError(f'{path}, line {line}: "{",".join(row)}" is not four finite numbers t,x,y,z')
-    return numbers

@@ -1,15 +1,13 @@
 """References: a trajectory as set-points (n, steps), records of `quadsim.control.records.SET_POINT`."""
 
-import csv
 import math
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..config.ranges import COORDINATE, Position
-from ..config.toml import read_text
+from ..config.ranges import COORDINATE
+from ..config.series import read_series
 from ..control.records import SET_POINT
 from ..own import load_own
 from .manoeuvres import fly_segments, mix_segments, rest_to_rest, turns
@@ -47,63 +45,45 @@ def reference(spec: Trajectory, steps: int, rate_hz: float, seeds: Seeds) -> Set
         ValueError: If a set-point file is missing or malformed, or a user's function fails.
     """
     time = np.arange(steps) / rate_hz
-    if isinstance(spec, Mix):
-        return np.stack([_mixed(spec, time, np.random.default_rng(seed)) for seed in seeds])
-    if isinstance(spec, Waypoints) and not spec.points:
-        return np.stack([_drawn(spec, time, np.random.default_rng(seed)) for seed in seeds])
-    return np.repeat(_fixed(spec, time)[None], len(seeds), axis=0)
+    drawn = isinstance(spec, Mix) or (isinstance(spec, Waypoints) and not spec.points)
+    paths = [_path(spec, time, np.random.default_rng(seed)) for seed in (seeds if drawn else seeds[:1])]
+    return np.repeat(paths, 1 if drawn else len(seeds), axis=0)
 
 
-def _drawn(spec: Waypoints, time: Array, rng: np.random.Generator) -> SetPoints:
-    points = np.array(spec.position) + rng.uniform(-1, 1, (spec.random_points, 3)) * np.array(spec.box)
-    return _minimum_snap(np.vstack([spec.position, points, spec.position]), spec.speed, time)
-
-
-def _mixed(spec: Mix, time: Array, rng: np.random.Generator) -> SetPoints:
-    out, segments = _still(spec.position, 0.0, time), mix_segments(spec, time[-1], rng)
-    fly_segments(segments, turns(spec.max_yaw_rate, time[-1], rng), time, out)
-    return out
-
-
-def _fixed(
-    spec: Hover | Step | Move | Lissajous | Waypoints | SetPointFile | OwnFunction, time: Array
-) -> SetPoints:
+def _path(spec: Trajectory, time: Array, rng: np.random.Generator) -> SetPoints:
+    out = np.zeros(time.size, SET_POINT)
+    if not isinstance(spec, SetPointFile | OwnFunction):
+        out["position"] = spec.position
     match spec:
         case Hover():
-            out = _still(spec.position, math.radians(spec.yaw_deg), time)
+            out["yaw"] = math.radians(spec.yaw_deg)
         case Step():
-            out = _still(spec.position, 0.0, time)
             displaced = (time >= spec.at_s) & (np.floor((time - spec.at_s) / spec.hold_s) % 2 == 0)
             out["position"][displaced] += spec.offset
             out["yaw"][displaced] += math.radians(spec.yaw_deg)
         case Move():
-            out = _move(spec, time)
+            way = np.clip((time - spec.at_s) / spec.length_s, 0, 1)[:, None]
+            for order, (name, shape) in enumerate(zip(DERIVATIVES, rest_to_rest(way), strict=True)):
+                out[name] += np.array(spec.offset) * shape / spec.length_s**order
         case Lissajous():
-            out = _lissajous(spec, time)
+            _add_lissajous(spec, time, out)
+        case Waypoints(points=()):
+            points = np.array(spec.position) + rng.uniform(-1, 1, (spec.random_points, 3)) * spec.box
+            out = _minimum_snap(np.vstack([spec.position, points, spec.position]), spec.speed, time)
         case Waypoints():
             out = _minimum_snap(np.array(spec.points), spec.speed, time)
+        case Mix():
+            segments = mix_segments(spec, time[-1], rng)
+            fly_segments(segments, turns(spec.max_yaw_rate, time[-1], rng), time, out)
         case SetPointFile():
-            out = _from_file(Path(spec.path), time)
+            clock, *points, yaw = read_series(spec.path, COORDINATE, "yaw").T
+            out = _splined(clock, np.column_stack(points), yaw, time)
         case OwnFunction():
             out = _from_function(spec.function, time)
     return out
 
 
-def _still(position: Position, yaw: float, time: Array) -> SetPoints:
-    out = np.zeros(time.size, SET_POINT)
-    out["position"], out["yaw"] = position, yaw
-    return out
-
-
-def _move(spec: Move, time: Array) -> SetPoints:
-    out = _still(spec.position, 0.0, time)
-    way = np.clip((time - spec.at_s) / spec.length_s, 0, 1)[:, None]
-    for order, (name, shape) in enumerate(zip(DERIVATIVES, rest_to_rest(way), strict=True)):
-        out[name] += np.array(spec.offset) * shape / spec.length_s**order
-    return out
-
-
-def _lissajous(spec: Lissajous, time: Array) -> SetPoints:
+def _add_lissajous(spec: Lissajous, time: Array, out: SetPoints) -> None:
     rate = 2 * np.pi * np.array(spec.ratio) / spec.period_s
     phase = time[:, None] * rate
     wave = np.stack([np.sin(phase), rate * np.cos(phase), -(rate**2) * np.sin(phase)])
@@ -111,11 +91,9 @@ def _lissajous(spec: Lissajous, time: Array) -> SetPoints:
     grow = np.stack([s**4 * (35 - 84 * s + 70 * s**2 - 20 * s**3), 140 * s**3 * (1 - s) ** 3 / spec.period_s,
                      420 * s**2 * (1 - s) ** 2 * (1 - 2 * s) / spec.period_s**2])[..., None]  # fmt: skip
     amplitude = np.array(spec.amplitude)
-    out = _still(spec.position, 0.0, time)
     out["position"] += amplitude * grow[0] * wave[0]
     out["velocity"] = amplitude * (grow[0] * wave[1] + grow[1] * wave[0])
     out["acceleration"] = amplitude * (grow[0] * wave[2] + 2 * grow[1] * wave[1] + grow[2] * wave[0])
-    return out
 
 
 def _minimum_snap(points: Array, speed: float, time: Array) -> SetPoints:
@@ -139,27 +117,6 @@ def _minimum_snap(points: Array, speed: float, time: Array) -> SetPoints:
     return out
 
 
-def _from_file(path: Path, time: Array) -> SetPoints:
-    try:
-        rows = list(csv.DictReader(read_text(path, most_mb=100.0).splitlines()))
-    except csv.Error as error:
-        raise ValueError(f"{path}: cannot read the set-points: {error}") from None
-    try:
-        clock = np.array([float(row["t"]) for row in rows])
-        points = np.array([[float(row[name]) for name in "xyz"] for row in rows])
-        yaw = np.array([float(row.get("yaw") or 0.0) for row in rows])
-    except (KeyError, TypeError, ValueError):
-        raise ValueError(
-            f"{path}: set-points need numbers in the columns t, x, y, z (and yaw, if wanted)"
-        ) from None
-    finite = np.isfinite(clock).all() and np.isfinite(points).all()
-    if len(rows) < 2 or not finite or np.any(np.diff(clock) <= 0):
-        raise ValueError(f"{path}: set-points need two rows or more, finite, with rising t")
-    for name, values in zip("xyz", points.T, strict=True):
-        COORDINATE.of(f"{path}: {name}", values[np.argmax(np.abs(values))])
-    return _splined(clock, points, yaw, time)
-
-
 def _from_function(name: str, time: Array) -> SetPoints:
     """Set-points of a user's function."""
     fly = load_own(name)
@@ -176,11 +133,12 @@ def _from_function(name: str, time: Array) -> SetPoints:
         raise ValueError(f"trajectory {name} returns numbers that are not finite")
     for axis, values in zip("xyz", made.T, strict=False):
         COORDINATE.of(f"trajectory {name}: {axis}", values[np.argmax(np.abs(values))])
-    if time.size < 2:
-        out = np.zeros(time.size, SET_POINT)
-        out["position"] = made[:, :3]
-        return out
-    return _splined(time, made[:, :3], made[:, 3] if made.shape[1] == 4 else np.zeros(time.size), time)
+    yaw = made[:, 3] if made.shape[1] == 4 else np.zeros(time.size)
+    if time.size > 1:
+        return _splined(time, made[:, :3], yaw, time)
+    out = np.zeros(time.size, SET_POINT)
+    out["position"] = made[:, :3]
+    return out
 
 
 def _splined(clock: Array, points: Array, yaw: Array, time: Array) -> SetPoints:

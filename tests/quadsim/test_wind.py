@@ -16,7 +16,6 @@ from quadsim.wind import (
     _turbulence,
     dryden,
     dryden_scales,
-    read_recording,
     wind_series,
 )
 
@@ -155,12 +154,13 @@ def test_recording_is_interpolated_and_held_at_its_ends(tmp_path):
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("", "must be"),
-        ("time,x,y,z\n0,0,0,0\n1,0,0,0\n", "must be"),
+        ("", "0 rows"),
+        ("time,x,y,z\n0,0,0,0\n1,0,0,0\n", "line 2: should have numbers in the columns t, x, y, z"),
         ("t,x,y,z\n0,0,0,0\n", "1 rows"),
         ("t,x,y,z\n0,0,0,0\n1,0,0\n", "line 3"),
         ("t,x,y,z\n0,0,0,0\n1,0,0,abc\n", "line 3"),
         ("t,x,y,z\n0,0,0,nan\n1,0,0,0\n", "line 2"),
+        ("t,x,y,z\n0,0,0,0\n1,0,-1e9,0\n", "line 3: y = -1000000000.0: should be -100 to 100 m/s"),
         ("t,x,y,z\n0,0,0,0\n\n1,0,0,0\n1,0,0,0\n", "line 5"),
     ],
 )
@@ -168,7 +168,7 @@ def test_bad_recording_is_refused_with_its_line(tmp_path, text, reason):
     path = tmp_path / "wind.csv"
     path.write_text(text)
     with pytest.raises(ValueError, match=rf"wind\.csv.*{reason}"):
-        read_recording(path)
+        WindRecording(path=str(path)).series(np.zeros(1))
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,49 @@
+"""A user's recording of a vector over time, in CSV."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .ranges import Between
+from .toml import read_text
+
+COLUMNS = ("t", "x", "y", "z")
+
+
+def read_series(path: str | Path, within: Between, optional: str = "") -> NDArray[np.float64]:
+    """Rows t, x, y, z (T, 4) of a CSV file with a header, or (T, 5) with an optional column.
+
+    Args:
+        path: The file; columns beside these are passed over.
+        within: Range of x, y and z, in their unit; t is in s and rises.
+        optional: A further column, zero where it is left out.
+
+    Raises:
+        ValueError: The file or one of its rows is not as described; the line is named.
+    """
+    rows: list[list[float]] = []
+    lines: list[int] = []
+    reader = csv.DictReader(read_text(Path(path), most_mb=100.0).splitlines(), skipinitialspace=True)
+    try:
+        for row in reader:
+            rows.append([float(row[name]) for name in COLUMNS] + [float(row.get(optional) or 0.0)])
+            lines.append(reader.line_num)
+    except (csv.Error, KeyError, TypeError, ValueError):
+        raise ValueError(
+            f"{path}, line {reader.line_num}: should have numbers in the columns {', '.join(COLUMNS)}"
+        ) from None
+    if len(rows) < 2:
+        raise ValueError(f"{path}: {len(rows)} rows of {', '.join(COLUMNS)}; at least 2 are needed")
+    table = np.array(rows)
+    for row in np.flatnonzero(~np.isfinite(table).all(axis=1)):
+        raise ValueError(f"{path}, line {lines[row]}: should have finite numbers")
+    row = int(np.argmax(np.abs(table[:, 1:4]).max(axis=1)))
+    for name, value in zip(COLUMNS[1:], table[row, 1:4], strict=True):
+        within.of(f"{path}, line {lines[row]}: {name}", value)
+    for row in np.flatnonzero(np.diff(table[:, 0]) <= 0.0) + 1:
+        raise ValueError(
+            f"{path}, line {lines[row]}: t = {table[row, 0]:g} s should be after the line before"
+        )
+    return table if optional else table[:, :4]
