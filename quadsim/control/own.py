@@ -5,7 +5,7 @@ speeds with its limits stays behind.
 """
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +60,22 @@ def made(make: MakeController, rate_hz: float, vehicle: Vehicle) -> AttitudeCont
     return controller
 
 
+def start_own(part: Any, name: str, ids: NDArray[np.int64], n: int, **start: Any) -> None:
+    """Start some of n vehicles of a user's controller or estimator: all by `reset`, others by `restart`.
+
+    Raises:
+        ValueError: It fails, or cannot restart single vehicles.
+    """
+    if len(ids) == n:
+        with named_errors(f"{name}: reset"):
+            part.reset(n, **start)
+    elif not hasattr(part, "restart"):
+        raise ValueError(f"{name} has no restart(ids): it starts all vehicles or none")
+    else:
+        with named_errors(f"{name}: restart"):
+            part.restart(ids.copy(), **start)
+
+
 class InnerLoop:
     """A controller of one's own for the records of a loop.
 
@@ -76,21 +92,9 @@ class InnerLoop:
         self._accel = np.zeros((len(records), 3))
 
     def reset(self, ids: NDArray[np.int64]) -> None:
-        """Start some vehicles.
-
-        Raises:
-            ValueError: The controller cannot restart single ones.
-        """
+        """Start some vehicles, see `start_own`."""
         self._accel[ids] = 0.0
-        if len(ids) == len(self.records):
-            with named_errors(f"controller {self.name}: reset"):
-                self.controller.reset(len(ids))
-            return
-        restart = getattr(self.controller, "restart", None)
-        if restart is None:
-            raise ValueError(f"controller {self.name} has no restart(ids): it starts all vehicles or none")
-        with named_errors(f"controller {self.name}: restart"):
-            restart(ids.copy())
+        start_own(self.controller, f"controller {self.name}", ids, len(self.records))
 
     def steer(self, level: int, accel: Array) -> int:
         """Write rotor speeds for the commands in the records; the level at which they stand there.

@@ -11,16 +11,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..config.ranges import Engine
 from ..control.cascade import Controller
-from ..control.own import InnerLoop, MakeController, made
+from ..control.own import InnerLoop, MakeController, made, start_own
 from ..control.records import LEVELS, Command, Level
 from ..estimator import AttitudeEstimator, Readings, accepted_sensors, receives_truth, roll_pitch_of
 from ..external import ExternalSensor
 from ..imu.spec import ImuSpec
 from ..imu.stream import ImuStream
 from ..motion.rotors import state_dtype
-from ..own import named_errors
 from ..plant import Plant
-from ..rotation import euler_from_quat, quat_from_rotvec, quat_multiply
+from ..rotation import quat_from_rotvec, quat_multiply, roll_pitch_from_quat
 from ..vehicle import Vehicle
 from .world import NO_NOISE, PLAN, loop_dtype, start, step
 
@@ -128,36 +127,23 @@ class FlightLoop:
         Raises:
             ValueError: If the estimator cannot restart single vehicles.
         """
-        if ids is None:
-            every = np.arange(self.n)
-            self.reset(position, velocity, quat, ang_vel, known_attitude, attitude_error, every)
-            self.sense()
-            return
-        self.plant.reset(position, velocity, quat, ang_vel, ids=ids)
-        self.plant.rotor_vel_cmd[ids] = self.controller.rotor_vel_cmd[ids]
-        self.controller.reset(ids)
+        rows = np.arange(self.n) if ids is None else ids
+        self.plant.reset(position, velocity, quat, ang_vel, ids=rows)
+        self.plant.rotor_vel_cmd[rows] = self.controller.rotor_vel_cmd[rows]
+        self.controller.reset(rows)
         if self.inner is not None:
-            self.inner.reset(ids)
-        self.k[ids] = 0
+            self.inner.reset(rows)
+        self.k[rows] = 0
         if self.imu is not None:
-            self.imu.reset(ids)
-        if self.estimator is None:
-            return
-        given = None
-        if known_attitude:
-            given = self.true_attitude[ids]
-            if attitude_error is not None:
-                off = quat_multiply(quat_from_rotvec(attitude_error), self.plant.quat[ids])
-                given = euler_from_quat(off)[:, :2]
-        if len(ids) == self.n:
-            with named_errors(f"{self._name}: reset"):
-                self.estimator.reset(self.n, roll_pitch=given)
-            return
-        restart = getattr(self.estimator, "restart", None)
-        if restart is None:
-            raise ValueError("this estimator has no restart(ids, roll_pitch): it starts all or none")
-        with named_errors(f"{self._name}: restart"):
-            restart(ids.copy(), roll_pitch=given)
+            self.imu.reset(rows)
+        if self.estimator is not None:
+            given = self.true_attitude[rows] if known_attitude else None
+            if known_attitude and attitude_error is not None:
+                off = quat_multiply(quat_from_rotvec(attitude_error), self.plant.quat[rows])
+                given = roll_pitch_from_quat(off)
+            start_own(self.estimator, self._name, rows, self.n, roll_pitch=given)
+        if ids is None:
+            self.sense()
 
     def step(
         self, level: Level = "position", command: Command | None = None, wind: Array | None = None
