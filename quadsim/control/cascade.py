@@ -13,6 +13,9 @@ Each stage takes the output of the one before it, so that a command can enter at
 A command is an array of floats with these columns, or of records: `SET_POINT` at the first two levels; at the
 others the fields `attitude_cmd`, `rate_cmd`, `thrust_cmd` and `rotor_vel_cmd` of the controller's record.
 
+The compiled functions handle one vehicle. They take the level's number (0 position … 4 rotor), u, a record of
+`SET_POINT`, m, a record of `MEASURED`, and c, a record of `controller_dtype`, which they change.
+
 Gains come from `quadsim.control.gains`. Roll and pitch come from the attitude estimator; the rest of the
 state comes from an external position sensor.
 """
@@ -24,7 +27,7 @@ from numpy.typing import NDArray
 
 from ..rotation import from_euler_core, rotate_core, rotate_inverse_core
 from ..runs.compiled import njit
-from ..vehicle import GRAVITY, Gains, Vehicle
+from ..vehicle import GRAVITY, Vehicle
 from .records import ATTITUDE, POSITION, RATE, ROTOR, SET_POINT, Command, Level, controller_dtype
 
 Array = NDArray[np.float64]
@@ -152,7 +155,7 @@ def _tilt_rate(c, q, target):
 def _guide(level, u, m, c):
     """The levels above the body rate: the rate to ask for, a tuple [rad/s], and the thrust per mass [m/s²].
 
-    The commanded thrust axis is left in the record. Arguments as of `control`.
+    The commanded thrust axis is left in the record.
     """
     g, q = c.gains, from_euler_core(m.roll_pitch[0], m.roll_pitch[1], m.yaw)
     thrust, tilt_rate = c.thrust_cmd, (0.0, 0.0)
@@ -187,14 +190,7 @@ def _guide(level, u, m, c):
 
 @njit(cache=True)
 def control(level, u, m, c):
-    """One step of the cascade for one vehicle, to its `rotor_vel_cmd`.
-
-    Args:
-        level: 0 position … 4 rotor.
-        u: Record of `SET_POINT`, for the levels position and velocity.
-        m: Record of `MEASURED`.
-        c: Record of `controller_dtype`; the commands of the other levels are in it.
-    """
+    """One step of the cascade, to `rotor_vel_cmd` of the record; u is read at position and velocity alone."""
     if level == ROTOR:
         for i in range(c.rotor_vel_cmd.shape[0]):
             c.rotor_vel_cmd[i] = min(max(c.rotor_vel_cmd[i], 0.0), c.max_rotor_vel)
@@ -208,14 +204,9 @@ def control(level, u, m, c):
 
 @njit(cache=True)
 def attitude_set_point(level, u, m, c, out):
-    """What an attitude controller in place of the inner levels is to follow, for one vehicle.
+    """What an attitude controller in place of the inner levels is to follow, at levels down to attitude.
 
-    Args:
-        level: 0 position … 2 attitude.
-        u: Record of `SET_POINT`, for the levels position and velocity.
-        m: Record of `MEASURED`.
-        c: Record of `controller_dtype`.
-        out: (4,) roll, pitch [rad], yaw rate [rad/s] and thrust per mass [m/s²].
+    It is written to out (4,): roll, pitch [rad], yaw rate [rad/s] and thrust per mass [m/s²].
     """
     rate, out[3] = _guide(level, u, m, c)
     axis, cos, sin = c.thrust_axis, math.cos(m.yaw), math.sin(m.yaw)
@@ -227,11 +218,11 @@ def attitude_set_point(level, u, m, c, out):
 
 @njit(cache=True)
 def actuate(m, c, action):
-    """Rotor speeds of one vehicle, to its `rotor_vel_cmd`, for an angular acceleration and a thrust.
+    """Rotor speeds, to `rotor_vel_cmd` of the record, for an action.
 
     Args:
-        m: Record of `MEASURED`.
-        c: Record of `controller_dtype`.
+        m: Measured state.
+        c: Controller.
         action: (4,) angular acceleration, body axes [rad/s²], and thrust per mass [m/s²].
     """
     for i in range(3):
@@ -241,15 +232,9 @@ def actuate(m, c, action):
 
 @njit(cache=True)
 def follow_attitude(level, u, m, set_point, c):
-    """The inner levels alone, for one vehicle: to `ang_acc_cmd` of the record.
+    """The inner levels alone, to `ang_acc_cmd` of the record, for what `attitude_set_point` gives, (4,).
 
-    Args:
-        level: Level of the command that the set-point comes from; at 0, position, the motion of its own
-            thrust axis is fed forward.
-        u: Record of `SET_POINT`.
-        m: Record of `MEASURED`.
-        set_point: What `attitude_set_point` gives, (4,).
-        c: Record of `controller_dtype`.
+    At level position the motion of the thrust axis of u is fed forward.
     """
     q = from_euler_core(m.roll_pitch[0], m.roll_pitch[1], m.yaw)
     w = from_euler_core(set_point[0], set_point[1], m.yaw)
@@ -281,11 +266,14 @@ class Controller:
         rate_hz: float = 200.0,
         records: NDArray[np.void] | None = None,
     ) -> None:
-        self.gains = vehicle.controller or _designed(vehicle, rate_hz)
+        self.gains = vehicle.controller
+        if self.gains is None:
+            from .gains import design  # imports `control`, which takes a second
+
+            self.gains = design(vehicle, rate_hz)
         self.records = np.zeros(n, controller_dtype(len(vehicle.rotors))) if records is None else records
         c, allocation = self.records, vehicle.allocation
-        square = allocation.shape[0] == allocation.shape[1]
-        mixer = np.linalg.inv(allocation) if square else np.linalg.pinv(allocation)
+        mixer = np.linalg.inv(allocation) if len(vehicle.rotors) == 4 else np.linalg.pinv(allocation)
         torque = np.abs(allocation[1:]).sum(axis=1) / 2 * vehicle.motor.omega_max**2
         c["dt"], c["gains"] = 1.0 / rate_hz, tuple(self.gains.model_dump().values())
         c["mass"], c["inertia"], c["max_ang_acc"] = vehicle.mass, vehicle.inertia, torque / vehicle.inertia
@@ -321,9 +309,3 @@ class Controller:
             case "rotor":
                 c["rotor_vel_cmd"] = command
         return out
-
-
-def _designed(vehicle: Vehicle, rate_hz: float) -> Gains:
-    from .gains import design  # imports `control`, which takes a second
-
-    return design(vehicle, rate_hz)

@@ -51,7 +51,10 @@ def blocks(vehicle: Vehicle, rate_hz: float, estimator_delay: float) -> Blocks:
     """Actuator and estimator as transfer functions."""
     integrator = TransferFunction([1.0], [1.0, 0.0])
     lag = TransferFunction([1.0], [0.5 * (vehicle.motor.tau_up + vehicle.motor.tau_down), 1.0])
-    return Blocks(lag * _delay(0.5 / rate_hz) * integrator, _delay(estimator_delay), integrator)
+    half_a_sample, estimator = (
+        TransferFunction(*control.pade(delay, 3)) for delay in (0.5 / rate_hz, estimator_delay)
+    )
+    return Blocks(lag * half_a_sample * integrator, estimator, integrator)
 
 
 def open_loop(b: Blocks, name: str, gains: Mapping[str, float]) -> TransferFunction:
@@ -97,21 +100,12 @@ def loop_margins(
 ) -> dict[str, Margins]:
     """Margins of every loop with the given gains, under a given estimator delay."""
     b, k = blocks(vehicle, rate_hz, estimator_delay), gains.model_dump()
-    names = ("rate", "yaw_rate", "attitude", "yaw", "velocity", "position")
-    return {name.replace("_", " "): margins(open_loop(b, name, k)) for name in names}
-
-
-def margins(loop: TransferFunction) -> Margins:
-    """Margins of an open loop."""
-    gain, phase, _, _, crossover, _ = control.stability_margins(loop)
-    return Margins(
-        float(crossover), float(phase), float(20 * np.log10(gain)), float(1e3 * np.radians(phase) / crossover)
-    )
-
-
-def _delay(seconds: float) -> TransferFunction:
-    numerator, denominator = control.pade(seconds, 3) if seconds > 0 else ([1.0], [1.0])
-    return TransferFunction(numerator, denominator)
+    found = {}
+    for name in ("rate", "yaw_rate", "attitude", "yaw", "velocity", "position"):
+        gain, phase, _, _, crossover, _ = control.stability_margins(open_loop(b, name, k))
+        numbers = crossover, phase, 20 * np.log10(gain), 1e3 * np.radians(phase) / crossover
+        found[name.replace("_", " ")] = Margins(*map(float, numbers))
+    return found
 
 
 def _gain_for(b: Blocks, name: str, inner: Mapping[str, float]) -> float:
@@ -119,7 +113,8 @@ def _gain_for(b: Blocks, name: str, inner: Mapping[str, float]) -> float:
     phase_deg = PHASE_MARGIN_DEG[name]
 
     def excess(k: float) -> float:
-        return _phase_margin(open_loop(b, name, {**inner, name: k})) - phase_deg
+        margin = control.stability_margins(open_loop(b, name, {**inner, name: k}))[1]
+        return (float(margin) if np.isfinite(margin) else -180.0) - phase_deg
 
     grid = np.geomspace(200.0, 0.02, 80)
     above = next((i for i, k in enumerate(grid) if excess(k) > 0), 0)
@@ -128,8 +123,3 @@ def _gain_for(b: Blocks, name: str, inner: Mapping[str, float]) -> float:
             f"no gain gives the {name} loop a phase margin of {phase_deg:g}°: its delays are too long"
         )
     return root_scalar(excess, bracket=(grid[above], grid[above - 1]), xtol=1e-9).root
-
-
-def _phase_margin(loop: TransferFunction) -> float:
-    phase = control.stability_margins(loop)[1]
-    return float(phase) if np.isfinite(phase) else -180.0
