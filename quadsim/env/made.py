@@ -50,7 +50,23 @@ def made_for(estimator: Made, scenario: Scenario, rate_hz: float) -> AttitudeEst
     if isinstance(estimator, str | Path):
         vehicle = scenario.vehicle if scenario.vehicle_known else None
         return estimators.create(str(estimator), rate_hz, vehicle=vehicle, imu=scenario.imu)
-    return tried(_name_of(estimator), _own_copy(estimator, rate_hz))
+    name = getattr(estimator, "__name__", type(estimator).__name__)
+    if isinstance(estimator, type | FunctionType | MethodType | partial):
+        with named_errors(f"{name} is called with one argument, rate_hz, and"):
+            own = estimator(rate_hz)
+    elif not hasattr(estimator, "update"):
+        raise ValueError(
+            f"estimator = {estimator!r}: should be a name, an estimator, or a function that makes one"
+        )
+    else:
+        try:
+            own = copy.deepcopy(cast(AttitudeEstimator, estimator))
+        except (Exception, SystemExit) as error:  # whatever a user's class does
+            raise ValueError(
+                f"{name} cannot be copied, and environments do not share an estimator: give "
+                f"a function that makes one, lambda rate_hz: ... ({error})"
+            ) from error
+    return tried(name, own)
 
 
 def controller_for(controller: str | Path | MakeController | None) -> MakeController | None:
@@ -64,27 +80,3 @@ def controller_for(controller: str | Path | MakeController | None) -> MakeContro
     from estimators.control.controller import make_controller
 
     return make_controller(controller)
-
-
-def _own_copy(
-    estimator: AttitudeEstimator | Callable[[float], AttitudeEstimator], rate_hz: float
-) -> AttitudeEstimator:
-    """What a function makes, or a copy of an estimator."""
-    if isinstance(estimator, type | FunctionType | MethodType | partial):
-        with named_errors(f"{_name_of(estimator)} is called with one argument, rate_hz, and"):
-            return estimator(rate_hz)
-    if not hasattr(estimator, "update"):
-        raise ValueError(
-            f"estimator = {estimator!r}: should be a name, an estimator, or a function that makes one"
-        )
-    try:
-        return copy.deepcopy(cast(AttitudeEstimator, estimator))
-    except (Exception, SystemExit) as error:  # whatever a user's class does
-        raise ValueError(
-            f"{_name_of(estimator)} cannot be copied, and environments do not share an estimator: give "
-            f"a function that makes one, lambda rate_hz: ... ({error})"
-        ) from error
-
-
-def _name_of(estimator: object) -> str:
-    return getattr(estimator, "__name__", type(estimator).__name__)
