@@ -94,19 +94,13 @@ class FlightLoop:
         self._name = type(estimator).__name__
         self._observe = getattr(estimator, "observe", None) if receives_truth(estimator) else None
         self._accepted = () if estimator is None else accepted_sensors(estimator.update)
-        self.attitude = self.true_attitude = self.plant.roll_pitch
-        self.yaw, self.measured_state = self.plant.yaw, records["measured"]
+        self.attitude, self.measured_state = self.plant.roll_pitch, records["measured"]
         self.k, self._roll_pitch = self.measured_state["k"], self.measured_state["roll_pitch"]
         self._last_rate = np.zeros((n, 3))
         inertial = {"gyro": self.plant.ang_vel, "accel": self.plant.specific_force}
         if self.imu is not None:
             inertial = self.imu.readings
         self._sensed = Readings(**inertial, rotor_vel=self.plant.rotor_vel)
-
-    @property
-    def gyro(self) -> Array:
-        """Body rate as measured (n, 3) [rad/s]."""
-        return self.readings.gyro
 
     def reset(
         self,
@@ -137,7 +131,7 @@ class FlightLoop:
         if self.imu is not None:
             self.imu.reset(rows)
         if self.estimator is not None:
-            given = self.true_attitude[rows] if known_attitude else None
+            given = self.plant.roll_pitch[rows] if known_attitude else None
             if known_attitude and attitude_error is not None:
                 off = quat_multiply(quat_from_rotvec(attitude_error), self.plant.quat[rows])
                 given = roll_pitch_from_quat(off)
@@ -196,20 +190,14 @@ class FlightLoop:
             self.measured_state["gyro"] = self._last_rate
         self.readings = readings
         if self.estimator is not None:
-            self.attitude = self.estimate(self.estimator, readings)
+            try:
+                if self._observe is not None:
+                    self._observe(self.plant.quat.copy())
+                others = {
+                    name: each.copy() for name, each in readings.others.items() if name in self._accepted
+                }
+                returned = self.estimator.update(readings.gyro.copy(), readings.accel.copy(), **others)
+            except (Exception, SystemExit) as error:  # whatever a user's class does
+                raise ValueError(f"{self._name}: update ends with {type(error).__name__}: {error}") from error
+            self.attitude = roll_pitch_of(returned, (self.n, 2), self._name)
             self._roll_pitch[:] = self.attitude
-
-    def estimate(self, estimator: AttitudeEstimator, readings: Readings) -> Array:
-        """Roll and pitch (n, 2) by the estimator, which gets copies.
-
-        Raises:
-            ValueError: If the estimator fails, or does not return real numbers (n, 2).
-        """
-        try:
-            if self._observe is not None:
-                self._observe(self.plant.quat.copy())
-            others = {name: each.copy() for name, each in readings.others.items() if name in self._accepted}
-            returned = estimator.update(readings.gyro.copy(), readings.accel.copy(), **others)
-        except (Exception, SystemExit) as error:  # whatever a user's class does
-            raise ValueError(f"{self._name}: update ends with {type(error).__name__}: {error}") from error
-        return roll_pitch_of(returned, (self.n, 2), self._name)

@@ -40,14 +40,15 @@ def simulate_flights(
         wind gyro_bias accel_bias, and `end_step` (n,), the number of valid samples of each flight (a vehicle
         that diverges holds its last valid sample), with `end_reason`, "" for a whole flight.
     """
-    motion, body, air, imu, angles, ground = (children(seeds, part) for part in range(6))
+    parts = [children(seeds, part) for part in range(6)]
+    motion, _, _, imu, _, ground = parts
     log = np.zeros((len(seeds), steps), state_dtype(len(config.vehicle.rotors)))
     end = np.full(len(seeds), steps)
     if config.hand_held is not None:
         for name, values in move_by_hand(config.hand_held, steps, rate_hz, motion).items():
             log[name] = values
     else:
-        _fly(config, log, rate_hz, motion, body, air, angles)
+        _fly(config, log, rate_hz, parts)
         end = _held(log)
     if config.ground is not None:
         before = start_on_ground(config.ground, log, rate_hz, ground)
@@ -58,16 +59,9 @@ def simulate_flights(
     return {**flights, **readings, "end_step": end, "end_reason": reasons}
 
 
-def _fly(
-    config: Recipe,
-    log: NDArray[np.void],
-    rate_hz: float,
-    motion: Seeds,
-    body: Seeds,
-    air: Seeds,
-    angles: Seeds,
-) -> None:
-    """Fill the log (n, T) with flights; seeds of trajectory, vehicle, wind and error."""
+def _fly(config: Recipe, log: NDArray[np.void], rate_hz: float, parts: Sequence[Seeds]) -> None:
+    """Fill the log (n, T) with flights."""
+    motion, body, air, _, angles, _ = parts
     n, total = len(log), round(config.warmup_s * rate_hz) + log.shape[1]
     vehicles = [randomise(config.vehicle, config.randomisation, np.random.default_rng(s)) for s in body]
     plans = planned(config.trajectory, config.wind, total, rate_hz, motion, air)

@@ -49,8 +49,7 @@ def loop_dtype(rotors: int) -> np.dtype:
     )
 
 
-NO_NOISE = np.empty((1, 0, 0, 3))
-"""Of no IMU."""
+NO_NOISE = np.empty((1, 0, 0, 3))  # of no IMU
 
 
 @njit(cache=True)
@@ -101,15 +100,9 @@ def judge(loop):
 
 @njit(cache=True)
 def sense_one(loop, plan, noise, at, x, log):
-    """Truth, sample of the IMU, the plan's next sample and the judgement of crashes, of one vehicle.
+    """Truth, sample of the IMU, the plan's next sample and the judgement of crashes; arguments of `step`.
 
-    Args:
-        loop: Record of `loop_dtype`.
-        plan: (T,) records of `PLAN`.
-        noise: (NOISES, block, 3) standard normal numbers of its IMU; without an IMU, of length 0.
-        at: Place of this sample in the block.
-        x: (SENSORS, 3) memory.
-        log: (t,) records of `quadsim.motion.rotors.state_dtype`, for the last t samples of the plan.
+    x: memory (SENSORS, 3).
     """
     p, s, m = loop.vehicle, loop.vehicle.state, loop.measured
     update_truth(p)
@@ -144,9 +137,9 @@ def step(level, loops, plans, samples, substeps, noise, at, logs):
         plans: (n, T) records of `PLAN`.
         samples: How many; several only without an IMU.
         substeps: Steps of integration in each; none where the vehicles have moved already.
-        noise: (n, NOISES, block, 3) of the IMUs, or `NO_NOISE`.
+        noise: (n, NOISES, block, 3) standard normal numbers of the IMUs, or `NO_NOISE`.
         at: Place of this sample in the block.
-        logs: (n, t) as of `sense_one`; none where t is 0.
+        logs: (n, t) records of `quadsim.motion.rotors.state_dtype`, for the last t samples of the plans.
     """
     crashed, x = 0, np.empty((SENSORS, 3))
     for i in range(loops.shape[0]):

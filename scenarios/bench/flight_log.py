@@ -82,7 +82,7 @@ def _signals(mission: Mission, added_bias: Array) -> Array:
     """The signals of the first flight at this sample, with the gyroscope bias that faults add [rad/s]."""
     return np.concatenate(
         [
-            np.degrees(mission.gyro[0]),
+            np.degrees(mission.readings.gyro[0]),
             mission.readings.accel[0],
             np.degrees(added_bias + (0.0 if mission.imu is None else mission.imu.gyro_bias[0])),
             np.degrees(_own(mission.estimator, "gyro_bias", mission.n, 3)),

@@ -109,7 +109,7 @@ def test_a_flight_does_not_depend_on_the_flights_beside_it():
     scenario = load_scenario("dryden-moderate").model_copy(update={"duration_s": 0.5})
     alone, beside = flown(scenario, 1), flown(scenario, 3)
     np.testing.assert_array_equal(alone.plant.position[0], beside.plant.position[0])
-    np.testing.assert_array_equal(alone.gyro[0], beside.gyro[0])
+    np.testing.assert_array_equal(alone.readings.gyro[0], beside.readings.gyro[0])
 
 
 def test_a_flight_in_wind_does_not_notice_a_crash_beside_it():
@@ -153,7 +153,7 @@ def test_an_attitude_is_given_wrongly_by_the_angle_that_is_asked_for():
 
     mission = Mission(HOVER.model_copy(update={"start": start}), Listener(), 50)
     mission.begin(vehicle_seeds(0, 50))
-    truth = mission.true_attitude
+    truth = mission.plant.roll_pitch
     error = inclination_error(given["roll_pitch"][:, None], truth[:, None])[:, 0]
     np.testing.assert_allclose(error, 4.0, atol=1e-6)
     off = given["roll_pitch"] - truth
@@ -355,7 +355,7 @@ def test_vibration_has_its_amplitude_and_a_phase_of_its_own():
 
 def test_controller_holds_its_rate_while_samples_are_missing():
     mission = flown(with_faults({"kind": "dropout", "probability": 1.0, "at_s": 0.5}))
-    assert np.isnan(mission.gyro).all()
+    assert np.isnan(mission.readings.gyro).all()
     assert np.isfinite(mission.measured_state["gyro"]).all()
     assert np.isfinite(mission.plant.position).all()
 
@@ -444,7 +444,7 @@ def test_only_the_controller_is_misled_by_the_external_sensor():
     np.testing.assert_array_equal(ideal.measured_state["position"], ideal.plant.position)
     apart = np.abs(real.measured_state["position"] - real.plant.position)
     assert 0 < apart.max() < 0.01
-    np.testing.assert_array_equal(real.attitude, real.true_attitude)
+    np.testing.assert_array_equal(real.attitude, real.plant.roll_pitch)
 
 
 def test_stands_on_the_ground_and_takes_off():
