@@ -261,12 +261,6 @@ def quat_normalize(q: ArrayLike) -> Array:
     return _over_arrays(_normalize, 4, array)
 
 
-def canonical(q: ArrayLike) -> Array:
-    """The one of q and −q (the same rotation) whose scalar part is not negative, shape (..., 4)."""
-    array = _components("q", q, 4)
-    return np.where(array[..., :1] < 0.0, -array, array)
-
-
 def euler_from_quat(q: ArrayLike) -> Array:
     """Roll, pitch, yaw (..., 3) [rad] of quaternions (..., 4)."""
     return _over_arrays(_euler, 3, _components("q", q, 4))
