@@ -192,19 +192,6 @@ def test_a_vehicle_that_cannot_fly_ends_with_a_reason_and_finite_numbers():
     assert np.linalg.norm(flown["quat"], axis=-1) == pytest.approx(np.ones((2, 400)))
 
 
-def test_an_estimator_of_another_rate_is_refused():
-    class Slow:
-        rate_hz = 100.0
-
-        def reset(self, n=1, roll_pitch=None): ...
-
-        def update(self, gyro, accel):
-            return np.zeros((len(gyro), 2))
-
-    with pytest.raises(ValueError, match="100 Hz"):
-        FlightLoop(HUMMINGBIRD, 1, estimator=Slow())
-
-
 def test_attitude_error_is_stationary_with_the_given_spread_and_correlation():
     error = np.degrees(AttitudeError(sd_deg=3.0, time_s=0.3).series(4000, 200.0, seeds(60)))
     assert error.std((0, 2))[[0, 100, -1]] == pytest.approx([3.0] * 3, rel=0.25)

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from quadsim.config.toml import describe
 from quadsim.flight.ground import GroundStart
 from quadsim.flight.recipe import load_recipe
 from quadsim.flight.simulate import simulate_flights
@@ -80,9 +79,3 @@ def test_rotors_shake_the_imu_before_the_lift_off(config):
     assert spinning.sum() > 20
     assert np.abs(noise[rotor == 0.0]).max() < 1e-9
     assert (noise[spinning].std(0) > 0.3).all()
-
-
-def test_times_that_fall_are_one_clear_line():
-    with pytest.raises(ValueError, match="stand_s") as error:
-        GroundStart(stand_s=(3.0, 1.0))
-    assert "\n" not in describe(error.value, GroundStart)

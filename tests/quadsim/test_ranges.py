@@ -113,6 +113,7 @@ HEAVY = load_vehicle("hummingbird").model_dump(mode="json")
             {"circle_share": 1.0, "eight_share": 1.0, "pause_share": 1.0, "jump_share": 1.0},
             "= 4; shares",
         ),
+        (Mix, {"max_tilt_deg": 80.0}, "max_tilt_deg = 80.0: should be 0.1 to 55 °; the nearest is 55"),
         (Mix, {"dash_s": [1e-300, 1.0]}, "should be 0.05 to 3600 s; the nearest is 0.05"),
     ],
 )

@@ -2,31 +2,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydantic import ValidationError
 
 from quadsim.flight.recipe import load_recipe
 from quadsim.trajectory.reference import reference
-from quadsim.trajectory.specs import (
-    Lissajous,
-    Mix,
-    Move,
-    OwnFunction,
-    SetPointFile,
-    Step,
-    Waypoints,
-)
+from quadsim.trajectory.specs import Lissajous, Mix, Move, OwnFunction, SetPointFile, Step, Waypoints
 from quadsim.vehicle import GRAVITY
 
 RATE = 200.0
 EIGHTS = Mix(eight_share=1.0, circle_share=0.0, pause_share=0.0)
-SMOOTH = [
-    Mix(cruise_share=0.5),
-    Lissajous(),
-    Move(),
-    Waypoints(),
-    Mix(),
-    EIGHTS,
-]
+SMOOTH = [Mix(cruise_share=0.5), Lissajous(), Move(), Waypoints(), Mix(), EIGHTS]
 
 
 def fly(spec, seconds=60.0, n=2, seed=0):
@@ -91,25 +75,9 @@ def test_minimum_snap_passes_the_waypoints_and_rests_at_both_ends():
     points = ((0.0, 0.0, 2.0), (3.0, 0.0, 2.0), (3.0, 3.0, 3.0), (0.0, 3.0, 2.0), (0.0, 0.0, 2.0))
     path = fly(Waypoints(points=points), seconds=40)[0]
     assert [*path["velocity"][0], *path["acceleration"][0]] == pytest.approx([0.0] * 6, abs=1e-9)
+    assert path["acceleration"][1] == pytest.approx([0.0] * 3, abs=2e-3)  # nor a jerk
     for point in points:
         assert np.linalg.norm(path["position"] - point, axis=-1).min() < 0.05
-
-
-def test_minimum_snap_beats_a_perturbed_curve():
-    """Of all curves through the waypoints with the same ends the spline has the least ∫ |snap|²."""
-    points = ((0.0, 0.0, 2.0), (3.0, 1.0, 2.0), (2.0, 4.0, 2.0), (0.0, 0.0, 2.0))
-    path = fly(Waypoints(points=points, speed=1.0), seconds=40)[0]
-    end = int(np.argmax(np.linalg.norm(path["velocity"][400:], axis=-1) < 1e-3)) + 400
-    snap = np.gradient(np.gradient(path["acceleration"][:end], 1 / RATE, axis=0), 1 / RATE, axis=0)[5:-5]
-    t = np.linspace(0, 1, end)
-    knots = [int(np.argmin(np.linalg.norm(path["position"][:end] - p, axis=-1))) / end for p in points[1:3]]
-    bump = (t * (1 - t)) ** 5 * np.prod([(t - k) for k in knots], axis=0)
-    extra = np.gradient(np.gradient(np.gradient(np.gradient(bump, 1 / RATE), 1 / RATE), 1 / RATE), 1 / RATE)[
-        5:-5
-    ]
-    for scale in (-1.0, 1.0):
-        other = snap[:, 0] + scale * extra / np.abs(extra).max()
-        assert np.sum(other**2) > np.sum(snap[:, 0] ** 2)
 
 
 def test_step_goes_there_and_back():
@@ -136,14 +104,7 @@ def test_set_points_from_a_file_are_passed_through(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "text",
-    [
-        "x,y,z\n1,2,3\n",
-        "t,x,y,z\n0,0,0,0\n",
-        "t,x,y,z\n0,0,0,a\n1,0,0,0\n",
-        "t,x,y,z\n1,0,0,0\n0,0,0,0\n",
-        "",
-    ],
+    "text", ["x,y,z\n1,2,3\n", "t,x,y,z\n0,0,0,0\n", "t,x,y,z,yaw\n0,0,0,0,a\n1,0,0,0,0\n", ""]
 )
 def test_a_wrong_set_point_file_is_named(tmp_path, text):
     path = tmp_path / "points.csv"
@@ -152,21 +113,9 @@ def test_a_wrong_set_point_file_is_named(tmp_path, text):
         fly(SetPointFile(path=str(path)))
 
 
-def test_a_tilt_beyond_the_controller_is_refused():
-    with pytest.raises(ValidationError):
-        Mix(max_tilt_deg=80)
-
-
 @settings(max_examples=25, deadline=None)
-@given(
-    st.integers(0, 2**31),
-    st.floats(1, 55),
-    st.floats(0, 1),
-    st.floats(0, 1),
-    st.floats(0, 3),
-    st.floats(0, 1),
-)
-def test_no_draw_makes_a_reference_that_is_not_finite(seed, tilt, circles, pauses, yaw_rate, cruises):
+@given(st.integers(0, 2**31), st.floats(1, 55), *[st.floats(0, 1)] * 3, st.floats(0, 3))
+def test_no_draw_makes_a_reference_that_is_not_finite(seed, tilt, circles, pauses, cruises, yaw_rate):
     rest = (1.0 - circles) * pauses
     shares = {"circle_share": circles, "pause_share": rest, "cruise_share": (1.0 - circles - rest) * cruises}
     spec = Mix(max_tilt_deg=tilt, max_yaw_rate=yaw_rate, **shares)
