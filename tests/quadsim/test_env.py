@@ -28,12 +28,25 @@ SHORT = Scenario(
 TILTING = SHORT.model_copy(update={"start": Start(tilt_deg=60.0), "crash": Crash(tilt_deg=50.0)})
 
 
+def make(n, **arguments):
+    """The environment itself, or the batched one of n."""
+    return gymnasium.make(ID, **arguments).unwrapped if n == 1 else gymnasium.make_vec(ID, n, **arguments)
+
+
+def gymnasiums(env):
+    check_env(env, skip_render_check=True)
+
+
+def stable_baselines3s(env):
+    pytest.importorskip("stable_baselines3.common.env_checker").check_env(env)
+
+
 @pytest.mark.parametrize("level", LEVELS)
-def test_passes_gymnasiums_own_checker_at_every_action_level(level):
-    env = gymnasium.make(ID, estimator=estimators.create("mahony"), scenario="hover", level=level)
+@pytest.mark.parametrize("check", [gymnasiums, stable_baselines3s])
+def test_passes_the_checkers_of_others_at_every_action_level(check, level):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        check_env(env.unwrapped, skip_render_check=True)
+        check(make(1, estimator="mahony", level=level))
 
 
 def test_passes_the_checker_with_pictures():
@@ -46,14 +59,6 @@ def test_passes_the_checker_with_pictures():
     env.reset(seed=0)
     assert env.render().shape == (540, 960, 3)
     env.close()
-
-
-def test_passes_the_checker_of_stable_baselines3():
-    checker = pytest.importorskip("stable_baselines3.common.env_checker")
-    env = gymnasium.make(ID, estimator=estimators.create("mahony"), scenario="hover")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        checker.check_env(env.unwrapped)
 
 
 def test_zero_action_at_level_position_holds_the_set_point():
@@ -73,13 +78,8 @@ def test_batched_twin_gives_the_numbers_of_single_environments_through_restarts(
     scenario = load_scenario("wind-gust").model_copy(
         update={"duration_s": 0.1, "start": Start(tilt_deg=20.0)}
     )
-    batch = gymnasium.make_vec(
-        ID, n, "vector_entry_point", estimator=estimators.create(name), scenario=scenario, level="rate"
-    )
-    singles = [
-        gymnasium.make(ID, estimator=estimators.create(name), scenario=scenario, level="rate")
-        for _ in range(n)
-    ]
+    given = {"estimator": estimators.create(name), "scenario": scenario, "level": "rate"}
+    batch, singles = make(n, **given), [gymnasium.make(ID, **given) for _ in range(n)]
     random = np.random.default_rng(0)
     observations, _ = batch.reset(seed=seed)
     expected = np.stack([env.reset(seed=seed + i)[0] for i, env in enumerate(singles)])
@@ -99,7 +99,7 @@ def test_batched_twin_gives_the_numbers_of_single_environments_through_restarts(
 
 
 def test_one_vehicle_of_a_batch_restarts_alone():
-    batch = gymnasium.make_vec(ID, 2, "vector_entry_point", scenario="hover", level="rotor")
+    batch = make(2, scenario="hover", level="rotor")
     batch.reset(seed=0)
     fall = np.array([[-1.0, -1.0, -1.0, -1.0], [0.0, 0.0, 0.0, 0.0]], dtype=np.float32)
     crashed = np.zeros(2, dtype=bool)
@@ -121,11 +121,17 @@ def test_a_crash_terminates_with_its_cause():
     assert (reward, terminated, truncated, info["cause"]) == (0.0, True, False, "tilted over")
 
 
-def test_time_truncates():
-    env = gymnasium.make(ID, scenario=SHORT)
+def test_time_truncates_and_only_a_reset_begins_another_episode():
+    env = make(1, scenario=SHORT)
+    with pytest.raises(ValueError, match="before reset"):
+        env.step(np.zeros(4))
     env.reset(seed=0)
     ends = [env.step(np.zeros(4))[2:4] for _ in range(20)]
     assert ends == [(False, False)] * 19 + [(False, True)]
+    with pytest.raises(ValueError, match="the episode is over"):
+        env.step(np.zeros(4))
+    env.reset()
+    env.step(np.zeros(4))
 
 
 def test_observation_never_leaves_its_space():
@@ -165,7 +171,7 @@ def test_bad_arguments_are_named(arguments, message):
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("n", [1, 3])
 def test_an_action_that_is_no_finite_number_is_refused(n, value):
-    env = gymnasium.make(ID).unwrapped if n == 1 else gymnasium.make_vec(ID, num_envs=n)
+    env = make(n)
     env.reset(seed=0)
     action = np.zeros((n, 4)).squeeze()
     action[..., 1] = value
@@ -173,36 +179,22 @@ def test_an_action_that_is_no_finite_number_is_refused(n, value):
         env.step(action)
 
 
-@pytest.mark.parametrize("shape", [(2, 2), (3,), (1, 4), ()])
-def test_an_action_of_another_shape_is_refused(shape):
-    env = gymnasium.make(ID).unwrapped
+@pytest.mark.parametrize(("n", "shape"), [(1, (2, 2)), (1, (3,)), (1, (1, 4)), (1, ()), (2, (4, 2))])
+def test_an_action_of_another_shape_is_refused(n, shape):
+    env = make(n)
     env.reset(seed=0)
-    with pytest.raises(ValueError, match=r"an action has shape .*; it must be \(4,\)"):
+    with pytest.raises(
+        ValueError, match=r"an action has shape .*; it must be " + (r"\(4," if n == 1 else r"\(2, 4")
+    ):
         env.step(np.zeros(shape))
-    batch = gymnasium.make_vec(ID, num_envs=2)
-    batch.reset(seed=0)
-    with pytest.raises(ValueError, match=r"it must be \(2, 4\)"):
-        batch.step(np.zeros((4, 2)))
 
 
 @pytest.mark.parametrize("seed", [1.5, -1, "a"])
 @pytest.mark.parametrize("n", [1, 2])
 def test_a_seed_that_is_no_whole_number_is_refused(n, seed):
-    env = gymnasium.make(ID).unwrapped if n == 1 else gymnasium.make_vec(ID, num_envs=n)
+    env = make(n)
     with pytest.raises(ValueError, match="a whole number from 0 on"):
         env.reset(seed=seed)
-
-
-def test_a_step_after_the_end_is_refused():
-    env = gymnasium.make(ID, duration_s=0.02).unwrapped
-    env.reset(seed=0)
-    for _ in range(4):
-        *_, over, _ = env.step(np.zeros(4))
-    assert over
-    with pytest.raises(ValueError, match="the episode is over"):
-        env.step(np.zeros(4))
-    env.reset()
-    env.step(np.zeros(4))
 
 
 class Still:
@@ -221,21 +213,23 @@ class Still:
         return np.zeros((self.n, 2))
 
 
-@pytest.mark.parametrize("made", ["env:name", "env:object", "env:class", "env:function", "env:own"])
-def test_estimators_are_given_by_name_object_class_function_or_module(made):
-    given = {
-        "env:name": "mahony",
-        "env:object": estimators.create("mahony"),
-        "env:class": Still,
-        "env:function": lambda rate_hz: estimators.create("mahony", rate_hz),
-        "env:own": "test_env:Still",
-    }[made]
-    env = gymnasium.make(ID, estimator=given, duration_s=0.1).unwrapped
-    env.reset(seed=1)
-    (one, *_), named = env.step(np.zeros(4)), gymnasium.make(ID, estimator="mahony", duration_s=0.1).unwrapped
-    named.reset(seed=1)
-    other, *_ = named.step(np.zeros(4))
-    assert (one[9:11] == 0).all() if made in ("env:class", "env:own") else (one == other).all()
+@pytest.mark.parametrize(
+    "given",
+    [
+        estimators.create("mahony"),
+        lambda rate_hz: estimators.create("mahony", rate_hz),
+        Still,
+        "test_env:Still",
+    ],
+    ids=["object", "function", "class", "own"],
+)
+def test_estimators_are_given_by_object_function_class_or_module_as_well(given):
+    seen = []
+    for each in (given, "mahony"):
+        env = make(1, estimator=each)
+        env.reset(seed=1)
+        seen.append(env.step(np.zeros(4))[0])
+    assert (seen[0][9:11] == 0).all() if "Still" in str(given) else (seen[0] == seen[1]).all()
 
 
 @pytest.mark.parametrize("name", ["mahony", "vqf", "att-snn-loihi"])
@@ -309,7 +303,7 @@ def reset_once(self, n=1, roll_pitch=None):
         end()
 
 
-@pytest.mark.parametrize("n", [None, 2])
+@pytest.mark.parametrize("n", [1, 2])
 @pytest.mark.parametrize(
     ("made", "said"),
     [
@@ -321,8 +315,7 @@ def reset_once(self, n=1, roll_pitch=None):
     ],
 )  # fmt: skip
 def test_what_an_estimator_does_in_flight_is_said_in_one_line(n, made, said):
-    env = gymnasium.make(ID, estimator=made).unwrapped if n is None else None
-    env = env or gymnasium.make_vec(ID, num_envs=n, estimator=made)
+    env = make(n, estimator=made)
     action = np.zeros(env.action_space.shape, np.float32)
     with pytest.raises(ValueError, match=said):  # noqa: PT012  (any of them may be the one)
         env.reset(seed=0)
@@ -337,11 +330,6 @@ def test_copies_and_pickles_of_an_environment_are_refused_with_the_reason():
         copy.deepcopy(env)
     with pytest.raises(TypeError, match="make another one with the same arguments"):
         pickle.dumps(env)
-
-
-def test_step_before_reset_is_refused():
-    with pytest.raises(ValueError, match="before reset"):
-        gymnasium.make(ID).unwrapped.step(np.zeros(4))
 
 
 INFO = {
@@ -366,15 +354,13 @@ def test_information_holds_the_truth_the_estimate_and_the_terms_of_the_reward():
 
 
 def test_information_of_a_batch_has_a_row_and_a_mask_for_every_vehicle():
-    batch = gymnasium.make_vec(ID, num_envs=3, scenario="hover")
-    _, info = batch.reset(seed=0)
-    assert {key: value.shape for key, value in info.items() if key[0] != "_"} == {
-        key: (3, *shape) for key, shape in INFO.items()
-    }
-    assert all(info[f"_{key}"].all() for key in INFO)
-    single, one = gymnasium.make(ID, scenario="hover"), None
-    _, one = single.reset(seed=2)
-    np.testing.assert_array_equal(info["position"][2], one["position"])
+    _, info = make(3).reset(seed=0)
+    _, one = make(1).reset(seed=2)
+    assert set(info) == {*INFO, *(f"_{key}" for key in INFO)}
+    for key, shape in INFO.items():
+        assert info[key].shape == (3, *shape)
+        assert info[f"_{key}"].all()
+        np.testing.assert_array_equal(info[key][2], one[key])
 
 
 def test_an_action_means_the_speeds_of_the_vehicle_that_flies():
@@ -418,11 +404,9 @@ def test_a_wrong_option_is_named_and_the_environment_lives_on(options, text):
     env.step(np.zeros(4))
 
 
-def test_pictures_of_every_step_play_in_real_time():
-    for rate_hz in (100.0, 200.0):
-        env = gymnasium.make(ID, rate_hz=rate_hz)
-        assert env.metadata["render_fps"] == rate_hz
-    assert gymnasium.make_vec(ID, num_envs=2).metadata["render_fps"] == 200.0
+@pytest.mark.parametrize("n", [1, 2])
+def test_pictures_of_every_step_play_in_real_time(n):
+    assert make(n, rate_hz=100.0).metadata["render_fps"] == 100.0
 
 
 def test_a_controller_of_ones_own_flies_in_the_environment():
