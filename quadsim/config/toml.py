@@ -197,7 +197,7 @@ def _describe_one(error: ErrorDetails, model: type[BaseModel]) -> str:
     key = str(error["loc"][-1]) if error["loc"] else ""
     match error["type"]:
         case "extra_forbidden":
-            valid = [name for owner in models for name in _field_names(owner)]
+            valid = [name for owner in models for name in owner.model_fields]
             inside = [name for owner in models for name in _dotted(owner) if name.endswith(f".{key}")]
             hint = f'did you mean "{inside[0]}"?' if inside else nearest(key, valid)
             return f'unknown key "{_shorten(path)[1:-1]}"; {hint}'
@@ -231,25 +231,14 @@ def _follow(location: tuple[int | str, ...], model: type[BaseModel]) -> tuple[st
     return path, owners
 
 
-def _field_names(model: type[BaseModel]) -> list[str]:
-    return [field.alias or name for name, field in model.model_fields.items()]
-
-
 def _dotted(model: type[BaseModel]) -> list[str]:
     """Keys of the tables in a model, as "table.key"."""
-    return [
-        f"{name}.{key}"
-        for name in _field_names(model)
-        for inner in _models_in_field(model, name)
-        for key in _field_names(inner)
-    ]
+    tables = ((name, inner) for name in model.model_fields for inner in _models_in_field(model, name))
+    return [f"{name}.{key}" for name, inner in tables for key in inner.model_fields]
 
 
 def _models_in_field(model: type[BaseModel], key: str) -> list[type[BaseModel]]:
-    for name, field in model.model_fields.items():
-        if key in (name, field.alias):
-            return _models_in(field.annotation)
-    return []
+    return _models_in(model.model_fields[key].annotation) if key in model.model_fields else []
 
 
 def _models_in(annotation: object) -> list[type[BaseModel]]:

@@ -71,7 +71,9 @@ def _flight(spec: HandHeld, steps: int, rate_hz: float, rng: np.random.Generator
     rate = np.radians(np.exp(rng.uniform(*np.log(spec.rate_deg_s))))
     push = np.exp(rng.uniform(*np.log(spec.acceleration)))
     clock, speed, change = _clock(spec, np.arange(steps) / rate_hz, rng)
-    angles, turning, _ = _turns(clock, rate, rng)
+    low, high = np.log(TURN_HZ)
+    frequency = 2.0 * np.pi * np.exp(rng.uniform(low, high, (3, TURN_SINES)))
+    angles, turning, _ = _sines(clock, frequency, rate * np.sqrt(2.0 / TURN_SINES) / frequency, rng)
     position, moving, pushing = _shifts(clock, push, rng)
     angles[:, 2] += rng.uniform(-np.pi, np.pi)
     velocity = moving * speed[:, None]
@@ -112,13 +114,6 @@ def _clock(spec: HandHeld, time: Array, rng: np.random.Generator) -> tuple[Array
             values += [value, value]
     speed = PchipInterpolator(knots, values)
     return speed.antiderivative()(time), speed(time), speed(time, 1)
-
-
-def _turns(clock: Array, rate: float, rng: np.random.Generator) -> tuple[Array, Array, Array]:
-    """Three angles (T, 3) with their first two derivatives, of that root mean square of the first."""
-    low, high = np.log(TURN_HZ)
-    frequency = 2.0 * np.pi * np.exp(rng.uniform(low, high, (3, TURN_SINES)))
-    return _sines(clock, frequency, rate * np.sqrt(2.0 / TURN_SINES) / frequency, rng)
 
 
 def _shifts(clock: Array, push: float, rng: np.random.Generator) -> tuple[Array, Array, Array]:

@@ -25,7 +25,7 @@ SEGMENT = np.dtype(
 TURN = np.dtype([("start", "f8"), ("length", "f8"), ("angle", "f8")])
 """A turn of the heading [s, s, rad]."""
 _DASH, _LOOP, _PAUSE, _JUMP, _CRUISE = range(5)
-ZERO = (0.0, 0.0, 0.0)
+UP = np.array([0.0, 0.0, 1.0])
 _DASH_PEAK = 84 * math.sqrt(5) / 25  # largest |s''| of the rest-to-rest polynomial of degree 7
 _RAMP_PEAK = 35 / 16  # its largest |s'|
 
@@ -40,52 +40,51 @@ def mix_segments(spec: Mix, end: float, rng: np.random.Generator) -> NDArray[np.
         draw, heading = rng.random(), rng.uniform(-np.pi, np.pi)
         climb = np.clip(rng.normal(0.0, 0.1), -0.25, 0.25) * GRAVITY  # peak vertical acceleration
         lateral = (GRAVITY - abs(climb)) * math.tan(rng.uniform(low, high))
+        ahead, across = _axes(heading)
+        first = second = np.zeros(3)
+        omega = ratio = 0.0
         if draw < spec.pause_share:
-            length = rng.uniform(*spec.pause_s)
-            row = (_PAUSE, ZERO, ZERO, 0.0, 0.0)
+            kind, length = _PAUSE, rng.uniform(*spec.pause_s)
         elif draw < sum(shares[:2]):
-            turns, period = int(rng.integers(1, 4)), rng.uniform(*spec.circle_s)
-            length, omega = (turns + 2) * period, 2 * np.pi / period
+            rounds, period = int(rng.integers(1, 4)), rng.uniform(*spec.circle_s)
+            kind, length, omega, ratio = _LOOP, (rounds + 2) * period, 2 * np.pi / period, 1.0
             radius = 0.7 * lateral / omega**2  # the window adds to the acceleration
-            axes = radius * np.array(
-                [[math.cos(heading), math.sin(heading)], [-math.sin(heading), math.cos(heading)]]
-            )
             flat, bob = rng.uniform(-1.0, 1.0), 0.5 * climb / omega**2
-            row = (_LOOP, (*axes[0], bob), (*(flat * axes[1]), -bob), omega, 1.0)
+            first, second = radius * ahead + bob * UP, flat * (radius * across) - bob * UP
         elif draw < sum(shares[:3]):
-            length, reach = rng.uniform(2.0, 4.0), rng.uniform(*spec.jump_m)
-            move = reach * np.array([math.cos(heading), math.sin(heading), rng.uniform(-0.3, 0.3)])
-            where = where + move
-            row = (_JUMP, move, ZERO, 0.0, 0.0)
+            kind, length, reach = _JUMP, rng.uniform(2.0, 4.0), rng.uniform(*spec.jump_m)
+            first = reach * (ahead + rng.uniform(-0.3, 0.3) * UP)
         elif draw < sum(shares[:4]):
             laps, period = int(rng.integers(3, 9)), rng.uniform(*spec.eight_s)
-            length, omega = (laps + 1) * period, 2 * np.pi / period
+            kind, length, omega, ratio = _LOOP, (laps + 1) * period, 2 * np.pi / period, 2.0
             share = rng.uniform(-1.0, 1.0)  # of the slow sweep's peak acceleration in that of the fast one
             peak = 0.92 * lateral / (1.0 + share**2 / 4)  # of the two together: lateral; the window adds
-            slow = share * peak / omega**2 * np.array([math.cos(heading), math.sin(heading)])
-            fast = peak / (2 * omega) ** 2 * np.array([-math.sin(heading), math.cos(heading)])
-            row = (_LOOP, (*slow, 0.0), (*fast, 0.5 * climb / (2 * omega) ** 2), omega, 2.0)
+            first = share * peak / omega**2 * ahead
+            second = peak / (2 * omega) ** 2 * across + 0.5 * climb / (2 * omega) ** 2 * UP
         elif draw < sum(shares):
-            heading = _homewards(where, spec.radius, heading, rng)
+            ahead, _ = _axes(_homewards(where, spec.radius, heading, rng))
             steady, speed = rng.uniform(*spec.cruise_s), rng.uniform(*spec.cruise_speed)
             ramp = _RAMP_PEAK * speed / lateral
-            length, reach = steady + 2 * ramp, speed * (steady + ramp)
-            move = reach * np.array([math.cos(heading), math.sin(heading), 0.0])
-            where = where + move
-            row = (_CRUISE, move, ZERO, 0.0, ramp / length)
+            kind, length, ratio = _CRUISE, steady + 2 * ramp, ramp / (steady + 2 * ramp)
+            first = speed * (steady + ramp) * ahead
         else:
-            length = rng.uniform(*spec.dash_s)
-            heading = _homewards(where, spec.radius, heading, rng)
-            reach = lateral * length**2 / _DASH_PEAK
+            kind, length = _DASH, rng.uniform(*spec.dash_s)
+            ahead, _ = _axes(_homewards(where, spec.radius, heading, rng))
             rise = climb * length**2 / _DASH_PEAK
             if abs(where[2] + rise) > 0.4 * spec.position[2]:
                 rise = -math.copysign(rise, where[2])
-            move = np.array([reach * math.cos(heading), reach * math.sin(heading), rise])
-            where = where + move
-            row = (_DASH, move, ZERO, 0.0, 0.0)
-        rows.append((clock, length, *row))
+            first = lateral * length**2 / _DASH_PEAK * ahead + rise * UP
+        rows.append((clock, length, kind, first, second, omega, ratio))
         clock += length
+        if kind != _LOOP:
+            where = where + first
     return np.array(rows, SEGMENT)
+
+
+def _axes(heading: float) -> tuple[Array, Array]:
+    """Horizontal unit vectors ahead and to the left."""
+    cos, sin = math.cos(heading), math.sin(heading)
+    return np.array([cos, sin, 0.0]), np.array([-sin, cos, 0.0])
 
 
 def _homewards(where: Array, radius: float, heading: float, rng: np.random.Generator) -> float:
@@ -129,7 +128,7 @@ def fly_segments(segments, turns, time, out):
     seg, turn, heading = 0, 0, 0.0
     for k in range(time.size):
         while seg < segments.size and time[k] >= segments[seg].start + segments[seg].length:
-            if segments[seg].kind == _DASH or segments[seg].kind == _JUMP or segments[seg].kind == _CRUISE:
+            if segments[seg].kind != _LOOP:
                 for i in range(3):
                     base[i] += segments[seg].first[i]
             seg += 1
