@@ -167,9 +167,9 @@ class Plant:
         self.vehicle = vehicles[0]
         self.substeps = math.ceil(self.dt / (CONTACT_STEP if contact else FLIGHT_STEP) - 1e-9)
         step = self.dt / self.substeps
-        self.vehicles = vehicle_records(vehicles, step) if records is None else records
-        if records is not None:
-            records[:] = vehicle_records(vehicles, step)
+        made = vehicle_records(vehicles, step)
+        self.vehicles = made if records is None else records
+        self.vehicles[:] = made
         self.engine = None
         if engine == "mujoco" or contact or integrator != "RK4":
             model = vehicle_model(self.vehicle, step, integrator, contact)

@@ -18,7 +18,6 @@ from .hand_held import body_rate
 
 Array = NDArray[np.float64]
 Stretch = Annotated[float, Between(0.05, 60.0, "s")]
-Slope = Annotated[float, Between(0.0, 30.0, "°")]
 
 
 class GroundStart(Strict):
@@ -30,7 +29,7 @@ class GroundStart(Strict):
     """Range of the time in which they reach their speed of flight [s]."""
     lift_off_s: Annotated[tuple[Stretch, Stretch], Rising] = (0.5, 1.5)
     """Range of the time from rest to the motion of the flight [s]."""
-    slope_deg: Slope = 4.0
+    slope_deg: Annotated[float, Between(0.0, 30.0, "°")] = 4.0
     """Largest slope of the ground [deg]."""
 
 

@@ -18,12 +18,20 @@ BODY = 1
 """Index of the vehicle among the model's bodies."""
 
 
-def mjcf(vehicle: Vehicle, timestep: float, integrator: str = "RK4", contact: bool = False) -> str:
-    """The MuJoCo model of one vehicle as XML."""
-    return (
-        (ASSETS / "quadrotor.xml")
-        .read_text(encoding="utf-8")
-        .format(
+INTEGRATORS = ("RK4", "implicitfast", "implicit", "Euler")
+
+
+def vehicle_model(vehicle: Vehicle, timestep: float, integrator: str, contact: bool) -> mujoco.MjModel:
+    """The MuJoCo model of one vehicle.
+
+    Raises:
+        ValueError: MuJoCo has no such integrator.
+    """
+    if integrator not in INTEGRATORS:
+        raise ValueError(f"unknown integrator {integrator!r}; choose one of {', '.join(INTEGRATORS)}")
+    mjcf = (ASSETS / "quadrotor.xml").read_text(encoding="utf-8")
+    return mujoco.MjModel.from_xml_string(
+        mjcf.format(
             name=vehicle.name,
             timestep=repr(timestep),
             integrator=integrator,
@@ -34,20 +42,6 @@ def mjcf(vehicle: Vehicle, timestep: float, integrator: str = "RK4", contact: bo
             size=" ".join(map(repr, vehicle.frame.size)),
         )
     )
-
-
-def vehicle_model(vehicle: Vehicle, timestep: float, integrator: str, contact: bool) -> mujoco.MjModel:
-    """The MuJoCo model of one vehicle.
-
-    Raises:
-        ValueError: MuJoCo has no such integrator.
-    """
-    known = [name.removeprefix("mjINT_").upper() for name in mujoco.mjtIntegrator.__members__]
-    if integrator.upper() not in known:
-        raise ValueError(
-            f"unknown integrator {integrator!r}; choose one of RK4, implicitfast, implicit, Euler"
-        )
-    return mujoco.MjModel.from_xml_string(mjcf(vehicle, timestep, integrator, contact))
 
 
 class MujocoEngine:
