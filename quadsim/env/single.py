@@ -12,8 +12,7 @@ from ..control.records import Level
 from ..flight.scenario import Scenario
 from ..flight.world import CAUSES
 from ..pictures.render import Image
-from .batch import QuadrotorVectorEnv, shaped
-from .made import Made
+from .batch import Made, QuadrotorVectorEnv, shaped
 
 
 class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):

@@ -6,7 +6,7 @@ flight's own seed.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Annotated, Literal, NamedTuple, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -259,16 +259,10 @@ def displaced(imu: ImuSpec, faults: Sequence[SensorFault | VehicleFault]) -> Imu
     return imu.model_copy(update={"lever_arm": (x, y, z)})
 
 
-class FaultSpan(NamedTuple):
-    """When a fault is there, from and to [s]."""
-
-    label: str
-    start_s: float
-    end_s: float
-
-
-def fault_spans(faults: Sequence[SensorFault | VehicleFault], duration_s: float) -> list[FaultSpan]:
-    """When the faults of a flight are there, in their order; one that comes again has as many spans."""
+def fault_spans(
+    faults: Sequence[SensorFault | VehicleFault], duration_s: float
+) -> list[tuple[str, float, float]]:
+    """Labels, begins and ends [s] of the faults of a flight, in their order; one may come again."""
     spans = []
     for fault in faults:
         label, starts, length = _label(fault), [getattr(fault, "at_s", 0.0)], duration_s
@@ -279,7 +273,7 @@ def fault_spans(faults: Sequence[SensorFault | VehicleFault], duration_s: float)
             if fault.every_s is not None:
                 starts = np.arange(fault.at_s, duration_s, fault.every_s).tolist()
         begun = [start for start in starts if start < duration_s and length > 0.0]
-        spans += [FaultSpan(label, start, min(start + length, duration_s)) for start in begun]
+        spans += [(label, start, min(start + length, duration_s)) for start in begun]
     return spans
 
 

@@ -81,7 +81,7 @@ def test_spans_of_faults_end_with_the_flight():
     ]
     assert fault_spans([STEP], 0.5) == []
     gyro = stuck.model_copy(update={"sensor": "gyro", "axes": "xy", "every_s": None})
-    assert [each.label for each in fault_spans([gyro], 9.2)] == ["stuck gyro xy"]
+    assert [label for label, *_ in fault_spans([gyro], 9.2)] == ["stuck gyro xy"]
 
 
 @pytest.mark.parametrize(("name", "sigma"), [("ekf", 0.01), ("eskf", 0.3)])
