@@ -33,27 +33,23 @@ class Rotor(Strict):
 class Motor(Strict):
     """Constants shared by all rotors."""
 
-    k_f: Annotated[float, Between(1e-12, 1.0, "N s²")] = Field(
-        description="Thrust constant, thrust = k_f ω² [N s²]."
-    )
+    k_f: Annotated[float, Between(1e-12, 1.0, "N s²")] = Field(description="Thrust = k_f ω² [N s²].")
     k_m: Annotated[float, Between(1e-6, 10.0, "m")] = Field(description="Yaw torque per thrust [m].")
     omega_max: RotorSpeed = Field(description="Highest rotor speed [rad/s].")
     tau_up: Lag = Field(description="Time constant of the first-order lag when spinning up [s].")
     tau_down: Lag = Field(description="The same when spinning down [s].")
     rotor_drag: Annotated[float, Between(0.0, 1.0, "N s²/m")] = Field(
-        description="H-force constant c of −c |ω| V⊥ [N s²/m]."
+        description="H-force −c |ω| V⊥ [N s²/m]."
     )
     rolling_moment: Annotated[float, Between(0.0, 1.0, "N s²")] = Field(
-        description="Rolling-moment constant of −c_r |ω| V⊥ [N s²]."
+        description="Rolling-moment constant c_r of −c_r |ω| V⊥ [N s²]."
     )
 
 
 class Frame(Strict):
     """The airframe: drag and outline."""
 
-    drag_area: tuple[Area, Area, Area] = Field(
-        description="C_d A per body axis of the quadratic drag −½ ρ C_d A |v| v [m²]."
-    )
+    drag_area: tuple[Area, Area, Area] = Field(description="C_d A per body axis, of −½ ρ C_d A |v| v [m²].")
     size: tuple[Size, Size, Size] = Field(description="Half extents of the box that touches ground [m].")
     prop_radius: Size = Field(description="Propeller radius, for pictures [m].")
 
@@ -79,14 +75,10 @@ class Vehicle(Strict):
     source: str = Field(description="Where the numbers come from.")
     mass: Mass = Field(description="Mass [kg].")
     inertia: tuple[Inertia, Inertia, Inertia] = Field(description="Principal moments of inertia [kg m²].")
-    rotors: tuple[Rotor, ...] = Field(
-        min_length=MIN_ROTORS, max_length=MAX_ROTORS, description="The rotors, four or more."
-    )
+    rotors: tuple[Rotor, ...] = Field(min_length=MIN_ROTORS, max_length=MAX_ROTORS, description="Its rotors.")
     motor: Motor
     frame: Frame
-    controller: Gains | None = Field(
-        default=None, description="Gains; left out, they are designed when first needed."
-    )
+    controller: Gains | None = Field(default=None, description="Gains; designed where they are left out.")
 
     @model_validator(mode="after")
     def _must_fly(self) -> "Vehicle":
@@ -166,9 +158,7 @@ class Randomisation(Strict):
     """Relative half-width of each number's range, drawn per flight: a factor of 1 + U(−spread, spread)."""
 
     mass: float = Field(default=0.0, ge=0, lt=0.5, description="Spread of the mass (the inertia follows).")
-    inertia: float = Field(
-        default=0.0, ge=0, lt=0.5, description="Spread of each moment of inertia, beyond the mass."
-    )
+    inertia: float = Field(default=0.0, ge=0, lt=0.5, description="Spread of the inertia beyond that.")
     thrust: float = Field(default=0.0, ge=0, lt=0.5, description="Spread of k_f.")
     torque: float = Field(default=0.0, ge=0, lt=0.5, description="Spread of k_m.")
     rotor_drag: float = Field(default=0.0, ge=0, lt=1, description="Spread of the rotor-drag constant.")

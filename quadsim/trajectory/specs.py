@@ -51,7 +51,7 @@ class Lissajous(Strict):
     position: Position = Field(default=(0.0, 0.0, 2.0), description="Centre [m].")
     amplitude: Position = Field(default=(3.0, 1.5, 0.0), description="Amplitudes [m].")
     ratio: tuple[Multiple, Multiple, Multiple] = Field(
-        default=(1, 2, 1), description="Frequencies over the basic one."
+        default=(1, 2, 1), description="Multiples of 1 / period."
     )
     period_s: Manoeuvre = Field(default=6.0, description="Period of the basic frequency [s].")
 
@@ -64,9 +64,7 @@ class Waypoints(Strict):
     """
 
     kind: Literal["waypoints"] = "waypoints"
-    points: tuple[Position, ...] = Field(
-        default=(), description="Waypoints [m]; none draws random ones for each flight."
-    )
+    points: tuple[Position, ...] = Field(default=(), description="Waypoints [m]; none draws random ones.")
     random_points: Annotated[int, Between(2, 100)] = Field(default=8, description="How many to draw.")
     box: Position = Field(default=(6.0, 6.0, 2.0), description="Half size of the box to draw in [m].")
     position: Position = Field(default=(0.0, 0.0, 4.0), description="Centre of that box [m].")
@@ -75,9 +73,7 @@ class Waypoints(Strict):
     @model_validator(mode="after")
     def _leads_somewhere(self) -> "Waypoints":
         if len(self.points) == 1 or len(self.points) > MOST_POINTS:
-            raise ValueError(
-                f"points: {len(self.points)} given; 2 to {MOST_POINTS} make a path, none draws random ones"
-            )
+            raise ValueError(f"points: {len(self.points)} given; 2 to {MOST_POINTS} make a path, or none")
         return self
 
 
@@ -89,9 +85,7 @@ class Mix(Strict):
     """
 
     kind: Literal["mix"] = "mix"
-    position: Position = Field(
-        default=(0.0, 0.0, 20.0), description="Start and centre of the flight volume [m]."
-    )
+    position: Position = Field(default=(0.0, 0.0, 20.0), description="Start and centre of the flights [m].")
     max_tilt_deg: PeakTilt = Field(default=45.0, description="Largest tilt that a reference asks for [deg].")
     min_tilt_deg: Annotated[float, Between(0.0, 55.0, "°")] = Field(
         default_factory=lambda given: min(LEAST_PEAK_DEG, given.get("max_tilt_deg", LEAST_PEAK_DEG)),
@@ -108,7 +102,7 @@ class Mix(Strict):
     )
     cruise_share: Share = Field(default=0.0, description="Share of straight flights of constant velocity.")
     cruise_s: ManoeuvreRange = Field(
-        default=(2.0, 6.0), description="Range of the time at a constant velocity [s]."
+        default=(2.0, 6.0), description="Range of the time at that velocity [s]."
     )
     cruise_speed: Annotated[tuple[Speed, Speed], Rising] = Field(
         default=(2.0, 8.0), description="Range of that velocity [m/s]."
@@ -118,23 +112,19 @@ class Mix(Strict):
     max_yaw_rate: Annotated[float, Between(0.0, 70.0, "rad/s")] = Field(
         default=1.5, description="Largest yaw rate of a turn [rad/s]."
     )
-    radius: Distance = Field(
-        default=15.0, description="Beyond this distance from the centre, dashes lead back [m]."
-    )
+    radius: Distance = Field(default=15.0, description="Distance beyond which dashes lead to the centre [m].")
 
     @model_validator(mode="after")
     def _fits(self) -> "Mix":
         if self.min_tilt_deg > self.max_tilt_deg:
             raise ValueError(
-                f"min_tilt_deg = {self.min_tilt_deg:g} is above max_tilt_deg = {self.max_tilt_deg:g}; "
-                "peaks are drawn between them"
+                f"min_tilt_deg = {self.min_tilt_deg:g} is above max_tilt_deg = {self.max_tilt_deg:g}"
             )
         shares = ("circle_share", "eight_share", "jump_share", "cruise_share", "pause_share")
         total = sum(getattr(self, name) for name in shares)
         if total > 1.0 + 1e-9:
             raise ValueError(
-                f"{' + '.join(shares)} = {total:g}; shares of manoeuvres add up to 1 at most, and dashes are "
-                "the rest"
+                f"{' + '.join(shares)} = {total:g}; shares add up to 1 at most, the rest are dashes"
             )
         return self
 
