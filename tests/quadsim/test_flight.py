@@ -14,6 +14,7 @@ from quadsim.flight.recipe import AttitudeError, Recipe
 from quadsim.flight.simulate import simulate_flights
 from quadsim.imu.spec import load_imu
 from quadsim.rotation import quat_conjugate, quat_from_euler, quat_multiply, roll_pitch_from_quat
+from quadsim.seeding import vehicle_seeds
 from quadsim.trajectory.specs import Hover, Mix
 from quadsim.vehicle import GRAVITY, Randomisation, load_vehicle
 from quadsim.wind import Constant, Dryden
@@ -24,10 +25,6 @@ HOVER = np.array([[0, 0, 2.0, 0, 0, 0, 0, 0, 0, 0, 0]])
 
 def config(**changes):
     return Recipe(vehicle=HUMMINGBIRD, imu=load_imu("adis16448"), **changes)
-
-
-def seeds(n, seed=0):
-    return np.random.SeedSequence(seed).spawn(n)
 
 
 @pytest.mark.parametrize("name", preset_names("vehicles"))
@@ -130,7 +127,7 @@ def test_rotors_that_saturate_give_up_yaw_first_and_then_thrust(name, sign):
 
 
 def test_recorded_flights_reach_45_degrees_with_the_papers_spread():
-    flown = simulate_flights(config(), seeds(6), 6000)
+    flown = simulate_flights(config(), vehicle_seeds(0, 6), 6000)
     roll_pitch = roll_pitch_from_quat(flown["quat"])
     assert 0.2 < roll_pitch.std() < 0.3
     tilt = np.arccos(np.cos(roll_pitch[..., 0]) * np.cos(roll_pitch[..., 1]))
@@ -140,7 +137,7 @@ def test_recorded_flights_reach_45_degrees_with_the_papers_spread():
 
 def test_the_gyro_sample_is_aligned_with_the_state():
     """The mean of gyro samples k and k + 1 turns quat k into quat k + 1, and no other pair does."""
-    flown = simulate_flights(Recipe(vehicle=HUMMINGBIRD, imu=load_imu("perfect")), seeds(2), 2000)
+    flown = simulate_flights(Recipe(vehicle=HUMMINGBIRD, imu=load_imu("perfect")), vehicle_seeds(0, 2), 2000)
     quat, gyro = flown["quat"], flown["gyro"]
     assert np.array_equal(gyro, flown["ang_vel"])
     change = quat_multiply(quat_conjugate(quat[:, :-1]), quat[:, 1:])
@@ -154,15 +151,17 @@ def test_the_gyro_sample_is_aligned_with_the_state():
 def test_a_flight_does_not_depend_on_its_batch():
     spread, breeze = Randomisation(mass=0.1, rotor_drag=0.2), Constant(velocity=(2, 0, 0))
     varied = config(randomisation=spread, wind=(breeze,))
-    together = simulate_flights(varied, seeds(5), 300)
-    alone = simulate_flights(varied, seeds(5)[3:4], 300)
+    together = simulate_flights(varied, vehicle_seeds(0, 5), 300)
+    alone = simulate_flights(varied, vehicle_seeds(0, 5)[3:4], 300)
     for name, values in together.items():
         assert np.array_equal(np.asarray(values)[3:4], np.asarray(alone[name])), name
 
 
 def test_adding_wind_does_not_change_the_imu_noise():
-    calm = simulate_flights(config(trajectory=Hover()), seeds(2), 400)
-    windy = simulate_flights(config(trajectory=Hover(), wind=(Constant(velocity=(3, 0, 0)),)), seeds(2), 400)
+    calm = simulate_flights(config(trajectory=Hover()), vehicle_seeds(0, 2), 400)
+    windy = simulate_flights(
+        config(trajectory=Hover(), wind=(Constant(velocity=(3, 0, 0)),)), vehicle_seeds(0, 2), 400
+    )
     assert np.array_equal(calm["gyro_bias"], windy["gyro_bias"])
     noise = [flown["gyro"] - flown["ang_vel"] for flown in (calm, windy)]
     assert noise[0] == pytest.approx(noise[1], abs=1e-12)
@@ -173,7 +172,7 @@ def test_adding_wind_does_not_change_the_imu_noise():
 def test_no_seed_wind_or_set_point_records_a_number_that_is_not_finite(seed, gale, tilt):
     storm = Dryden(airspeed=max(gale, 1.0), altitude=20.0, wind_20ft=gale)
     rough = config(trajectory=Mix(max_tilt_deg=tilt), wind=(Constant(velocity=(gale, 0.0, 0.0)), storm))
-    flown = simulate_flights(rough, seeds(2, seed), 600)
+    flown = simulate_flights(rough, vehicle_seeds(seed, 2), 600)
     for name, values in flown.items():
         if name != "end_reason":
             assert np.all(np.isfinite(values)), name
@@ -185,7 +184,7 @@ def test_a_vehicle_that_cannot_fly_ends_with_a_reason_and_finite_numbers():
     loop_for = Recipe(vehicle=broken, imu=load_imu("adis16448"))
     gains = HUMMINGBIRD.controller.model_copy(update={"rate": 2e4, "rate_integral": 0.0})
     doomed = loop_for.model_copy(update={"vehicle": broken.model_copy(update={"controller": gains})})
-    flown = simulate_flights(doomed, seeds(2), 400)
+    flown = simulate_flights(doomed, vehicle_seeds(0, 2), 400)
     assert np.all(flown["end_step"] < 400)
     assert all("diverged after" in reason for reason in flown["end_reason"])
     assert all(np.all(np.isfinite(v)) for k, v in flown.items() if k != "end_reason")
@@ -193,7 +192,7 @@ def test_a_vehicle_that_cannot_fly_ends_with_a_reason_and_finite_numbers():
 
 
 def test_attitude_error_is_stationary_with_the_given_spread_and_correlation():
-    error = np.degrees(AttitudeError(sd_deg=3.0, time_s=0.3).series(4000, 200.0, seeds(60)))
+    error = np.degrees(AttitudeError(sd_deg=3.0, time_s=0.3).series(4000, 200.0, vehicle_seeds(0, 60)))
     assert error.std((0, 2))[[0, 100, -1]] == pytest.approx([3.0] * 3, rel=0.25)
     later = (error[:, 60:] * error[:, :-60]).mean() / (error**2).mean()  # 0.3 s apart
     assert later == pytest.approx(np.exp(-1), abs=0.05)
@@ -202,7 +201,7 @@ def test_attitude_error_is_stationary_with_the_given_spread_and_correlation():
 def test_flights_flown_on_a_wrong_attitude_swing_and_are_otherwise_recorded_truly():
     still = config(trajectory=Hover(position=(0.0, 0.0, 5.0)))
     right, wrong = (
-        simulate_flights(still.model_copy(update={"attitude_error": error}), seeds(2), 1000)
+        simulate_flights(still.model_copy(update={"attitude_error": error}), vehicle_seeds(0, 2), 1000)
         for error in (AttitudeError(), AttitudeError(sd_deg=3.0))
     )
     tilt = [np.degrees(np.abs(roll_pitch_from_quat(f["quat"]))).max() for f in (right, wrong)]
