@@ -156,12 +156,6 @@ def _rotate(q, v, out):
 
 
 @njit(cache=True)
-def _normalize(q, out):
-    for i in range(len(out)):
-        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = normalize_core(q[i, 0], q[i, 1], q[i, 2], q[i, 3])
-
-
-@njit(cache=True)
 def _euler(q, out):
     for i in range(len(out)):
         out[i, 0], out[i, 1], out[i, 2] = euler_core(q[i, 0], q[i, 1], q[i, 2], q[i, 3])
@@ -255,10 +249,11 @@ def quat_normalize(q: ArrayLike) -> Array:
         ValueError: A quaternion is zero or not finite.
     """
     array = _components("q", q, 4)
-    length = np.linalg.norm(array, axis=-1)
+    w, x, y, z = np.moveaxis(array, -1, 0)
+    length = np.sqrt(w * w + x * x + y * y + z * z)
     if not np.all((length > 0.0) & np.isfinite(length)):
         raise ValueError("a quaternion to normalise must be finite and not zero")
-    return _over_arrays(_normalize, 4, array)
+    return array * (1.0 / length)[..., None]
 
 
 def euler_from_quat(q: ArrayLike) -> Array:

@@ -249,8 +249,7 @@ def follow_attitude(level, u, m, set_point, c):
 class Controller:
     """The cascade for n vehicles of one type, with its integrators.
 
-    After `control`, `rotor_vel_cmd` (n, rotors) holds its command and `thrust_axis` (n, 3) where it wants the
-    thrust to point, world axes. `records` (n,) are what `control` takes.
+    After `control`, `rotor_vel_cmd` (n, rotors) holds its command. `records` (n,) are what `control` takes.
 
     Args:
         vehicle: The nominal vehicle; its `controller` gains are used, or designed when it has none.
@@ -280,7 +279,7 @@ class Controller:
         c["max_rotor_vel"] = vehicle.motor.omega_max
         c["per_thrust"], c["per_roll"], c["per_pitch"], c["per_yaw"] = mixer.T
         c["rotor_vel_cmd"], c["thrust_axis"] = vehicle.hover_rotor_vel, (0.0, 0.0, 1.0)
-        self.rotor_vel_cmd, self.thrust_axis = c["rotor_vel_cmd"], c["thrust_axis"]
+        self.rotor_vel_cmd = c["rotor_vel_cmd"]
         self._set_points = np.zeros(n, SET_POINT)
 
     def reset(self, ids: NDArray[np.int_] | slice = slice(None)) -> None:

@@ -69,12 +69,6 @@ def test_toml_becomes_a_typed_model(tmp_path):
     assert robot.weather == (Calm(kind="calm"), Storm(kind="storm", speed=12.0))
 
 
-def test_json_round_trip_keeps_the_model(tmp_path):
-    robot = load(tmp_path, FULL)
-    assert Robot.model_validate_json(robot.model_dump_json()) == robot
-    assert Robot.model_validate(robot.model_dump()) == robot
-
-
 @pytest.mark.parametrize(
     ("text", "parts"),
     [

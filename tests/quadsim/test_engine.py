@@ -6,7 +6,6 @@ from numpy.testing import assert_allclose
 
 from quadsim.flight.recipe import load_recipe
 from quadsim.flight.simulate import simulate_flights
-from quadsim.motion.engine import vehicle_model
 from quadsim.motion.free_body import advance, dexp_inverse
 from quadsim.plant import Plant
 from quadsim.rotation import quat_from_rotvec, quat_multiply
@@ -111,13 +110,6 @@ def test_dexp_inverse_is_the_rate_of_the_rotation_vector(size):
     rate = np.array(dexp_inverse(tuple(u), tuple(w)))
     turned = quat_multiply(quat_from_rotvec(u), quat_from_rotvec(h * w))
     assert_allclose(quat_from_rotvec(u + h * rate), turned, atol=20 * h * h)
-
-
-def test_the_records_have_the_mass_and_the_inertia_of_the_mjcf():
-    plant = Plant(HUMMINGBIRD)
-    model = vehicle_model(HUMMINGBIRD, 0.005, "RK4", contact=False)
-    assert plant.vehicles["mass"][0] == model.body_mass[1]
-    assert np.array_equal(plant.vehicles["inertia"][0], model.body_inertia[1])
 
 
 def test_auto_is_compiled_in_free_flight_and_mujoco_on_the_ground():

@@ -1,8 +1,5 @@
 """Attitude controllers of a user in the closed loop."""
 
-import runpy
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -13,8 +10,6 @@ from quadsim.flight.mission import Mission
 from quadsim.flight.scenario import load_scenario
 from quadsim.rotation import from_euler_core, rotate_core
 from quadsim.vehicle import load_vehicle
-
-EXAMPLE = Path(__file__).parents[2] / "examples" / "my_controller.py"
 
 
 def flown(scenario, controller, seconds=3.0, n=2):
@@ -54,11 +49,6 @@ def test_the_cascades_own_inner_levels_as_a_controller_fly_as_the_cascade_does()
     built_in, _ = flown("hover", None)
     assert not cause.any()
     assert np.abs(with_own - built_in).max() < 0.02
-
-
-def test_the_example_flies():
-    _, cause = flown("wind-5", runpy.run_path(str(EXAMPLE))["make"], seconds=4.0)
-    assert not cause.any()
 
 
 def test_the_set_point_is_the_attitude_that_points_the_thrust_where_the_cascade_wants_it():

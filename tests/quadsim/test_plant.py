@@ -212,19 +212,6 @@ def test_60_degree_manoeuvre_agrees_with_an_independent_integrator():
     assert state.position[0] == pytest.approx(exact[10:13], abs=1e-6)
 
 
-def test_a_vehicle_in_a_batch_flies_as_it_would_alone():
-    rng = np.random.default_rng(5)
-    quat, commands = rng.normal(size=(7, 4)), rng.uniform(300, 600, (50, 7, 4))
-    many = Plant(HUMMINGBIRD, 7)
-    many.reset(quat=quat)
-    one = Plant(HUMMINGBIRD, 1)
-    one.reset(quat=quat[4:5])
-    for command in commands:
-        together, alone = many.step(command), one.step(command[4:5])
-    for a, b in zip(together, alone, strict=True):
-        assert np.array_equal(a[4:5], b)
-
-
 def test_vehicles_of_one_batch_can_differ_and_change_their_mass():
     plant = Plant([HUMMINGBIRD, HUMMINGBIRD.model_copy(update={"mass": 1.0})], 2)
     plant.reset(rotor_vel=hover(2))

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from quadsim.config.toml import preset_names
 from quadsim.control.gains import PHASE_MARGIN_DEG, design, loop_margins
-from quadsim.vehicle import GRAVITY, Randomisation, load_vehicle, randomise
+from quadsim.vehicle import Randomisation, load_vehicle, randomise
 
 VEHICLES = preset_names("vehicles")
 
@@ -17,13 +17,6 @@ def test_hummingbird_has_the_published_derived_numbers():
     assert vehicle.hover_rotor_vel == pytest.approx(453.2, abs=0.05)
     assert vehicle.thrust_to_weight == pytest.approx(3.42, abs=0.005)
     assert vehicle.drag_time_constant == pytest.approx(4.90, abs=0.005)
-
-
-@pytest.mark.parametrize("name", VEHICLES)
-def test_allocation_of_hover_is_weight_without_torque(name):
-    vehicle = load_vehicle(name)
-    wrench = vehicle.allocation @ np.full(len(vehicle.rotors), vehicle.hover_rotor_vel**2)
-    assert wrench == pytest.approx([vehicle.mass * GRAVITY, 0, 0, 0], abs=1e-9)
 
 
 @pytest.mark.parametrize("name", VEHICLES)
