@@ -1,11 +1,7 @@
 """The environment of n quadrotors that are stepped as one batch."""
 
-import copy
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
-from types import FunctionType, MethodType
-from typing import Any, NoReturn, TypeAlias, cast
+from typing import Any, NoReturn
 
 import gymnasium
 import numpy as np
@@ -19,16 +15,13 @@ from ..config.ranges import SAMPLE_RATE
 from ..config.toml import nearest
 from ..control.own import MakeController
 from ..control.records import ATTITUDE, LEVELS, Level
-from ..estimator import AttitudeEstimator
 from ..flight.mission import Mission
-from ..flight.scenario import Scenario, changed, load_scenario
-from ..own import named_errors
+from ..flight.scenario import Scenario, changed
 from ..pictures.render import Image, Scene, View
+from .made import Made, controller_for, made_for, scenario_for
 from .spaces import OBSERVATION, OBSERVATION_SPACE, action_scale, hidden_dtype, observe, to_command
 
 Array = NDArray[np.float64]
-Made: TypeAlias = AttitudeEstimator | str | Path | Callable[[float], AttitudeEstimator] | None
-"""An estimator, or what makes one: see `made_for`."""
 MOST = 100_000
 """Environments in a batch."""
 OPTIONS = ("scenario", "wind")
@@ -64,11 +57,7 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         self.metadata = {**self.metadata, "render_fps": rate_hz}
         self.num_envs, self.render_mode = num_envs, render_mode
         self._scenario = self._flown = scenario_for(scenario)
-        if isinstance(controller, str | Path):
-            from estimators.control.controller import make_controller
-
-            controller = make_controller(controller)
-        self._made, self._controller = estimator, controller
+        self._made, self._controller = estimator, controller_for(controller)
         if self._controller is not None and LEVELS.index(level) > ATTITUDE:
             raise ValueError(f'level "{level}" is below the attitude controller: leave controller out')
         self._rate_hz, self._duration_s = rate_hz, duration_s
@@ -206,59 +195,6 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
             "an environment in flight cannot be copied or pickled, for its arrays are views of the engine's "
             "memory; make another one with the same arguments and reset it with the same seed"
         )
-
-
-def scenario_for(scenario: object) -> Scenario:
-    """An environment's scenario, given as a name, a file or a `Scenario`.
-
-    Raises:
-        ValueError: It is none of these, or there is no such file.
-    """
-    if isinstance(scenario, Scenario):
-        return scenario
-    if not isinstance(scenario, str | Path):
-        raise ValueError(f"scenario = {scenario!r}: should be a name, a file or a Scenario")
-    return load_scenario(scenario)
-
-
-def made_for(estimator: Made, scenario: Scenario, rate_hz: float) -> AttitudeEstimator | None:
-    """An environment's own estimator.
-
-    Args:
-        estimator: A name, weights or "module:Class", as `estimators.create` takes them, made for the
-            scenario's vehicle and IMU; a function or class that makes one of `rate_hz`; an estimator, which
-            is copied; None for the true attitude.
-        scenario: The scenario of the flight.
-        rate_hz: Samples per second.
-
-    Raises:
-        ValueError: No such estimator, or one that cannot be copied.
-    """
-    if estimator is None:
-        return None
-    import estimators
-    from estimators.custom import tried
-
-    if isinstance(estimator, str | Path):
-        vehicle = scenario.vehicle if scenario.vehicle_known else None
-        return estimators.create(str(estimator), rate_hz, vehicle=vehicle, imu=scenario.imu)
-    name = getattr(estimator, "__name__", type(estimator).__name__)
-    if isinstance(estimator, type | FunctionType | MethodType | partial):
-        with named_errors(f"{name} is called with one argument, rate_hz, and"):
-            own = estimator(rate_hz)
-    elif not hasattr(estimator, "update"):
-        raise ValueError(
-            f"estimator = {estimator!r}: should be a name, an estimator, or a function that makes one"
-        )
-    else:
-        try:
-            own = copy.deepcopy(cast(AttitudeEstimator, estimator))
-        except (Exception, SystemExit) as error:  # whatever a user's class does
-            raise ValueError(
-                f"{name} cannot be copied, and environments do not share an estimator: give "
-                f"a function that makes one, lambda rate_hz: ... ({error})"
-            ) from error
-    return tried(name, own)
 
 
 def shaped(action: ArrayLike, shape: tuple[int, ...]) -> Array:

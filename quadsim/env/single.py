@@ -12,7 +12,8 @@ from ..control.records import Level
 from ..flight.scenario import Scenario
 from ..flight.world import CAUSES
 from ..pictures.render import Image
-from .batch import Made, QuadrotorVectorEnv, shaped
+from .batch import QuadrotorVectorEnv, shaped
+from .made import Made
 
 
 class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
