@@ -19,6 +19,7 @@ from quadsim.flight.scenario import Crash, Scenario, Start, load_scenario, scena
 from quadsim.flight.vehicle_faults import RotorLoss
 from quadsim.flight.world import CAUSES, GROUNDED, OUT_OF_BOUNDS, TILTED
 from quadsim.imu.spec import load_imu
+from quadsim.rotation import roll_pitch_from_quat
 from quadsim.seeding import vehicle_seeds
 from quadsim.trajectory.specs import Hover
 from quadsim.vehicle import load_vehicle, with_drag
@@ -181,8 +182,13 @@ def test_crashes_are_told_apart(change, cause):
 def test_a_flight_that_was_restarted_is_new():
     mission = flown(HOVER, 2)
     mission.cause[:] = TILTED
+    mission.estimator = estimators.create("mahony")
+    mission.estimator.reset(2, roll_pitch=np.full((2, 2), 0.3))
     mission.move()
     mission.restart(np.array([1]), vehicle_seeds(9, 1))
+    np.testing.assert_allclose(
+        roll_pitch_from_quat(mission.estimator.quat), [[0.3, 0.3], [0.0, 0.0]], atol=1e-9
+    )
     mission.sense()
     assert mission.k.tolist() == [mission.steps + 1, 0]
     assert mission.cause.tolist() == [TILTED, 0]
