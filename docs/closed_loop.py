@@ -22,7 +22,7 @@ from scenarios.bench.cell import FlightSettings
 from scenarios.bench.controllers import TRUTH, default_estimators
 from scenarios.bench.experiment import Experiment, load_experiment
 from scenarios.bench.recommendation import recommendation
-from scenarios.bench.results import Results, totals_of
+from scenarios.bench.results import Results
 from scenarios.bench.runner import bench
 from scenarios.bench.verdict import Verdict, conditions, shown, verdict
 from scenarios.report.page import publish
@@ -84,9 +84,9 @@ def heat_map(results: Results, names: Sequence[str]) -> Figure:
 
 def standing_rows(judged: Verdict, silenced: Results) -> list[str]:
     """The table of the verdict, with error and crashes of a silenced network beside each network."""
-    (silent,), rows = totals_of(silenced.rows).values(), []
+    (silent,), rows = silenced.totals.values(), []
     for name, _, texts in judged.standings:
-        text = f"{shown(silent.means['error_deg'])}, ✕ {silent.crashes}" if name in NETWORKS else "–"
+        text = f"{shown(silent.error_deg)}, ✕ {silent.crashes}" if name in NETWORKS else "–"
         columns = [texts[key] for key in ("crashed", "error [°]", "behind the best [°]", "tracking [°]")]
         rows.append(row(name, *columns[:2], text, *columns[2:]))
     return rows

@@ -28,7 +28,6 @@ from quadsim.runs.console import progress_bar
 from quadsim.vehicle import GRAVITY, Vehicle, load_vehicle
 from scenarios.bench.cell import FlightSettings, fly_cell
 from scenarios.bench.controllers import controller_of
-from scenarios.bench.flight_metrics import CellRow
 from scenarios.bench.results import Results
 from scenarios.bench.runner import bench
 
@@ -65,26 +64,26 @@ PROFILES = (32, 16)
 COLOURS = ("#000000", "#009e73", "#7a7a7a", "#0072b2")
 
 
-def cells(results: Results) -> dict[tuple[str, str], CellRow]:
+def cells(results: Results) -> dict[tuple[str, str], Any]:
     """Each row by its scenario and title."""
     titles = {name: title for title, name in NAMES.items()}
     return {(each.scenario, titles[each.estimator]): each for each in results.rows}
 
 
-def shown(each: CellRow) -> str:
+def shown(each: Any) -> str:
     """Tracking error, and crashes."""
     if each.attitude_deg is None:
         return f"– ✕{each.crashes}"
     return f"{each.attitude_deg:.2f}" + (f" ✕{each.crashes}" if each.crashes else "")
 
 
-def scenario_rows(found: dict[tuple[str, str], CellRow]) -> Iterator[str]:
+def scenario_rows(found: dict[tuple[str, str], Any]) -> Iterator[str]:
     """Tracking by scenario."""
     for scenario in scenario_names():
         yield row(scenario, *(shown(found[scenario, title]) for title in NAMES))
 
 
-def tracking(found: dict[tuple[str, str], CellRow], title: str, scenarios: Sequence[str]) -> Array:
+def tracking(found: dict[tuple[str, str], Any], title: str, scenarios: Sequence[str]) -> Array:
     """RMS tracking error in scenarios [°]; NaN where all crashed at once."""
     return np.array([found[s, title].attitude_deg or np.nan for s in scenarios], dtype=float)
 
@@ -94,7 +93,7 @@ def base_of(title: str) -> str:
     return TEACHER if NAMES[title].startswith("truth") else BASE
 
 
-def summary_rows(found: dict[tuple[str, str], CellRow]) -> Iterator[str]:
+def summary_rows(found: dict[tuple[str, str], Any]) -> Iterator[str]:
     """What the figures of merit are for each controller."""
     for title in NAMES:
         base = base_of(title)
@@ -120,7 +119,10 @@ def elsewhere_rows() -> Iterator[str]:
         for name in ("hover", "step", "figure-8", "dryden-moderate"):
             scenario = changed(load_scenario(name), {"vehicle": vehicle})
             cells = [fly_cell(name, scenario, NAMES[title], FlightSettings(SEEDS)) for title in titles]
-            yield row(f"{vehicle}, {name}", *(shown(cell.row) for cell in cells))
+            found = Results(
+                {name: scenario}, [cell.estimator for cell in cells], FlightSettings(SEEDS), cells
+            )
+            yield row(f"{vehicle}, {name}", *map(shown, found.rows))
 
 
 def makers() -> dict[str, tuple[MakeController | None, Any]]:

@@ -3,8 +3,10 @@
 import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from pydantic import TypeAdapter
 
 import estimators
@@ -21,7 +23,7 @@ from quadsim.runs.fingerprint import content_digest
 
 from .controllers import controller_files, controller_of, estimator_of
 from .flight_log import Flown, fly
-from .flight_metrics import CellRow, FlightRow, error_histogram, flight_metrics, summarise
+from .flight_metrics import error_histogram, flight_metrics, records
 from .series import FlightSeries, pack_series
 
 BOUNDLESS = 1e100
@@ -54,13 +56,13 @@ class Cell:
 
     scenario: str
     estimator: str
-    reason: str
+    reason: str = ""
     """Why it did not run; empty if it did."""
-    flights: list[FlightRow]
-    """One row per seed."""
-    histogram: list[int]
+    flights: list[dict[str, Any]] = field(default_factory=list)
+    """Of each seed the columns `flight_metrics.FLIGHT`; None without a value."""
+    histogram: list[int] = field(default_factory=list)
     """Counts of the errors, as in `flight_metrics.error_histogram`."""
-    series: FlightSeries | None
+    series: FlightSeries | None = None
     """The first seed in time."""
     receives_truth: bool = False
     """Whether the estimator was fed the true attitude: a reference, which is not ranked."""
@@ -68,11 +70,6 @@ class Cell:
     """Why its estimates must not be ranked, as `estimators.metrics.flaw_of` says; empty if they may."""
     cpu_s: float = field(default=0.0, compare=False)
     """Processor time that it took [s]."""
-
-    @property
-    def row(self) -> CellRow:
-        """The cell as one row of the table."""
-        return summarise(self.scenario, self.estimator, self.reason, self.flights)
 
 
 CELL = TypeAdapter(Cell)
@@ -102,11 +99,6 @@ def load_cell(path: Path) -> Cell | None:
         return None
 
 
-def failed_cell(scenario: str, estimator: str, reason: str) -> Cell:
-    """A cell that did not run."""
-    return Cell(scenario, estimator, reason, [], [], None)
-
-
 def fly_cell(name: str, scenario: Scenario, estimator: str, settings: FlightSettings) -> Cell:
     """Simulate all flights of a cell at once; a failure is a cell with its reason."""
     began = time.thread_time()
@@ -117,7 +109,7 @@ def fly_cell(name: str, scenario: Scenario, estimator: str, settings: FlightSett
         return replace(cell, cpu_s=round(time.thread_time() - began, 3))
     except (Exception, SystemExit) as error:  # whatever an estimator does, the other cells continue
         kind = "" if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: "
-        return failed_cell(name, estimator, f"{kind}{error}")
+        return Cell(name, estimator, f"{kind}{error}")
 
 
 def tuning_of(estimator: str, tuning: str | None) -> str | None:
@@ -158,18 +150,15 @@ def make_cell(name: str, estimator: str, mission: Mission, flown: Flown) -> Cell
     if not (np.abs(log[before].view(np.float64)) < BOUNDLESS).all():
         raise ValueError("the flight diverged; is a number of the scenario too large?")
     metrics = flight_metrics(log, end, mission.rate_hz, mission.vehicle)
-    flights = [
-        FlightRow(
-            name,
-            estimator,
-            seed=i,
-            cause=CAUSES[mission.cause[i]],
-            flown_s=float(end[i] / mission.rate_hz),
-            **{key: None if np.isnan(values[i]) else float(values[i]) for key, values in metrics.items()},
-        )
-        for i in range(mission.n)
-    ]
-    series = pack_series(log[0, : max(end[0], 1)], mission.rate_hz, flown.signals)
-    histogram = error_histogram(log, end).tolist()
-    reference = receives_truth(mission.estimator)
-    return Cell(name, estimator, "", flights, histogram, series, reference, flaw)
+    causes = [CAUSES[cause] for cause in mission.cause]
+    flown_s = end / mission.rate_hz
+    flights = pd.DataFrame({"seed": range(mission.n), "cause": causes, "flown_s": flown_s, **metrics})
+    return Cell(
+        name,
+        estimator,
+        flights=[row._asdict() for row in records(flights)],
+        histogram=error_histogram(log, end).tolist(),
+        series=pack_series(log[0, : max(end[0], 1)], mission.rate_hz, flown.signals),
+        receives_truth=receives_truth(mission.estimator),
+        flaw=flaw,
+    )

@@ -1,15 +1,15 @@
-"""Metrics of flights from their logs, and one figure for several flights.
+"""Metrics of flights from their logs, and one row for several flights.
 
 `log` is (n, T) of `flight_log.log_dtype`, `end` (n,) the samples before each crash; later ones do not count.
 """
 
-import math
 import warnings
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+import pandas as pd
+from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtri
 
 from estimators.metrics import absolute_error, attitude_error, inclination_error
@@ -18,6 +18,8 @@ from quadsim.vehicle import Vehicle
 from .flight_log import Log
 
 Array = NDArray[np.float64]
+Z = float(ndtri(0.975))
+"""Half the width of a normal distribution's 95 % interval [standard deviations]."""
 
 CONVERGED_DEG = 5.0
 """Inclination error below which an estimate counts as converged [deg],"""
@@ -29,58 +31,6 @@ ERROR_DECADES = (-3.0, 2.3)
 """Range of the error histograms, powers of ten of a degree,"""
 ERROR_BINS = 106
 """and how many equal parts it has."""
-
-
-OF_ALL = ("worst_tilt_deg", "converge_s", "recover_s")
-"""Metrics to which a crashed flight counts too."""
-
-
-@dataclass(frozen=True)
-class FlightMetrics:
-    """The metrics of one or several flights, as `METRICS` describes them; None without a value."""
-
-    error_deg: float | None
-    inclination_deg: float | None
-    attitude_deg: float | None
-    position_m: float | None
-    worst_tilt_deg: float | None
-    converge_s: float | None
-    recover_s: float | None
-    power_w: float | None
-    jitter: float | None
-
-
-@dataclass(frozen=True)
-class _Flight:
-    scenario: str
-    estimator: str
-    seed: int
-    cause: str
-    """Of the crash; empty without one."""
-    flown_s: float
-
-
-@dataclass(frozen=True)
-class FlightRow(FlightMetrics, _Flight):
-    """One flight."""
-
-
-@dataclass(frozen=True)
-class _Cell:
-    scenario: str
-    estimator: str
-    reason: str
-    """Why it did not run; then all that follows is None."""
-    flights: int | None
-    crashes: int | None
-    crash_rate: float | None
-    crash_low: float | None
-    crash_high: float | None
-
-
-@dataclass(frozen=True)
-class CellRow(FlightMetrics, _Cell):
-    """All flights of a scenario with one estimator."""
 
 
 @dataclass(frozen=True)
@@ -119,10 +69,17 @@ METRICS = tuple(Metric(*row) for row in (
     ("jitter", "Command jitter", "rad/s", 2,
      "RMS change of the rotor commands from one sample to the next; the mean over flights without a crash."),
 ))  # fmt: skip
+MEASURED = [metric for metric in METRICS if metric.key != "crash_rate"]
+"""Metrics of a single flight."""
+FIGURES = {"worst_tilt_deg": "max", "converge_s": "median", "recover_s": "median"}
+"""What counts of all flights; of the other metrics it is the mean over flights without a crash."""
+KEYS = ["scenario", "estimator"]
+FLIGHT = ["seed", "cause", "flown_s", *(metric.key for metric in MEASURED)]
+"""Columns of a flight: its number, why it crashed (empty if it did not), its length, its metrics."""
 
 
 def flight_metrics(log: Log, end: NDArray[np.int64], rate_hz: float, vehicle: Vehicle) -> dict[str, Array]:
-    """Every metric of each flight, (n,), by the fields of `FlightMetrics`; NaN where it has no value."""
+    """Every metric of each flight, (n,), by the keys of `MEASURED`; NaN where it has no value."""
     valid = log.copy()
     valid[np.arange(log.shape[1]) >= np.maximum(end, 1)[:, None]] = np.nan
     estimate, truth = valid["estimate"], valid["euler"][..., :2]
@@ -174,41 +131,39 @@ def error_histogram(log: Log, end: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.histogram(decades, bins=ERROR_BINS, range=ERROR_DECADES)[0]
 
 
-def wilson(hits: int, trials: int, level: float = 0.95) -> tuple[float, float]:
-    """Wilson score interval of a share (Wilson 1927)."""
-    if trials == 0:
-        return 0.0, 1.0
-    z = float(ndtri(0.5 + 0.5 * level))
-    share, square = hits / trials, z * z / trials
-    middle = (share + square / 2) / (1 + square)
-    half = z * math.sqrt(share * (1 - share) / trials + square / (4 * trials)) / (1 + square)
-    return max(0.0, middle - half) if hits else 0.0, min(1.0, middle + half) if hits < trials else 1.0
+def wilson(hits: ArrayLike, trials: ArrayLike) -> tuple[Array, Array]:
+    """Ends of the 95 % Wilson score interval of shares (Wilson 1927); 0 and 1 without a trial."""
+    hits, trials = np.asarray(hits, np.float64), np.asarray(trials, np.float64)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share, square = hits / trials, Z * Z / trials
+        middle = (share + square / 2) / (1 + square)
+        half = Z * np.sqrt(share * (1 - share) / trials + square / (4 * trials)) / (1 + square)
+    return np.where(hits > 0, middle - half, 0.0), np.where(hits < trials, middle + half, 1.0)
 
 
-def summarise(scenario: str, estimator: str, reason: str, flights: Sequence[FlightRow]) -> CellRow:
-    """One row for the flights of a scenario with an estimator; means are over flights that did not crash."""
-    complete = [flight for flight in flights if not flight.cause]
-    figures = {
-        each.name: _one_figure(
-            each.name, [getattr(f, each.name) for f in (flights if each.name in OF_ALL else complete)]
-        )
-        for each in fields(FlightMetrics)
-    }
-    if not flights:
-        return CellRow(scenario, estimator, reason, None, None, None, None, None, **figures)
-    n, crashes = len(flights), sum(bool(flight.cause) for flight in flights)
-    return CellRow(scenario, estimator, reason, n, crashes, crashes / n, *wilson(crashes, n), **figures)
+def summarise(flights: pd.DataFrame) -> pd.DataFrame:
+    """Crashes and metrics of the flights of each scenario with each estimator; NaN where none has a value.
+
+    Args:
+        flights: A row for each flight, with the columns `KEYS` and `FLIGHT`.
+    """
+    every: Any = flights.assign(crashed=flights["cause"] != "").groupby(KEYS, sort=False)
+    table = every["crashed"].agg(flights="size", crashes="sum")
+    table["crash_rate"] = table["crashes"] / table["flights"]
+    table["crash_low"], table["crash_high"] = wilson(table["crashes"], table["flights"])
+    never = flights.fillna({"converge_s": np.inf, "recover_s": np.inf})
+    counted = {"mean": flights.query("cause == ''"), "max": flights, "median": never}
+    for metric in MEASURED:
+        figure = FIGURES.get(metric.key, "mean")
+        own: Any = counted[figure].groupby(KEYS, sort=False)[metric.key]
+        table[metric.key] = own.agg(figure).replace(np.inf, np.nan)
+    return table.astype({"flights": "Int64", "crashes": "Int64"})
 
 
-def _one_figure(key: str, flights: Sequence[float | None]) -> float | None:
-    values = np.array(flights, dtype=float)
-    if key in ("converge_s", "recover_s") and values.size:
-        figure = float(np.median(np.where(np.isnan(values), np.inf, values)))
-    elif np.isnan(values).all():
-        return None
-    else:
-        figure = float(np.nanmax(values) if key == "worst_tilt_deg" else np.nanmean(values))
-    return figure if math.isfinite(figure) else None
+def records(table: pd.DataFrame) -> list[Any]:
+    """The rows of a table with its columns as attributes; None where a value is missing."""
+    known: Any = table.astype(object).where(table.notna(), None)
+    return list(known.itertuples(index=False))
 
 
 def _rms(values: Array) -> Array:

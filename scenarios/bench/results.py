@@ -1,13 +1,12 @@
 """The results of a benchmark: its flights, their table and index in a folder, and who flew exactly alike."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
-import numpy as np
 import pandas as pd
 from pydantic import TypeAdapter, ValidationError
 
@@ -19,7 +18,7 @@ from quadsim.runs.files import write_csv, write_whole
 from .cell import Cell, FlightSettings, tuning_of
 from .controllers import CASCADED, controller_of, default_estimators, estimator_of
 from .experiment import SUITE, Experiment, Levels
-from .flight_metrics import METRICS, CellRow, FlightRow, summarise
+from .flight_metrics import FLIGHT, KEYS, MEASURED, METRICS, records, summarise, wilson
 
 
 @dataclass(frozen=True)
@@ -35,9 +34,29 @@ class Results:
     """Of each scenario its level of every axis, or of its sweep; empty without any."""
 
     @cached_property
-    def rows(self) -> list[CellRow]:
-        """One row per cell."""
-        return [cell.row for cell in self.cells]
+    def flights(self) -> pd.DataFrame:
+        """A row for each flight, with the columns `KEYS` and `FLIGHT`."""
+        rows = [
+            {"scenario": cell.scenario, "estimator": cell.estimator} | flight
+            for cell in self.cells
+            for flight in cell.flights
+        ]
+        return pd.DataFrame(rows, columns=[*KEYS, *FLIGHT]).astype({m.key: float for m in MEASURED})
+
+    @cached_property
+    def rows(self) -> list[Any]:
+        """A row for each cell: why it did not run, crashes and metrics; None without a value."""
+        return self._rows({name: name for name in self.scenarios})
+
+    def _rows(self, level_of: Mapping[str, str]) -> list[Any]:
+        """A row for all flights of each contender at each level, which is called "scenario"."""
+        own = [cell for cell in self.cells if cell.scenario in level_of]
+        cells = [(level_of[cell.scenario], cell.estimator, cell.reason) for cell in own]
+        reasons = pd.DataFrame(cells, columns=[*KEYS, "reason"]).groupby(KEYS, sort=False)["reason"]
+        levels = self.flights.assign(scenario=self.flights["scenario"].map(level_of.get))
+        table = reasons.agg(lambda own: next(filter(None, own), "")).to_frame().join(summarise(levels))
+        table["reason"] = table["reason"].where(table["flights"].isna(), "")
+        return records(table.reset_index())
 
     @property
     def references(self) -> set[str]:
@@ -59,10 +78,9 @@ class Results:
         found = {name: "received the true attitude" for name in sorted(self.references)}
         found |= {name: f"repeats {of}" for name, of in COPIES.items() if {name, of} <= {*self.estimators}}
         found |= {cell.estimator: cell.flaw for cell in self.cells if cell.flaw}
-        flown: dict[str, list[tuple[str, list[FlightRow]]]] = {}
+        flown: dict[str, list[Any]] = {}
         for cell in self.cells:
-            alike = [replace(flight, estimator="") for flight in cell.flights]
-            flown.setdefault(cell.estimator, []).append((cell.reason, alike))
+            flown.setdefault(cell.estimator, []).append((cell.reason, cell.flights))
         first: list[str] = []
         for name in (each for each in self.estimators if each not in found):
             twin = next((each for each in first if flown[each] == flown[name]), None)
@@ -118,11 +136,6 @@ class Results:
         return ", ".join(f"{n} of its {most} {what}" for what, (n, most) in counts.items() if n < most)
 
     @cached_property
-    def flights(self) -> list[FlightRow]:
-        """One row per flight."""
-        return [flight for cell in self.cells for flight in cell.flights]
-
-    @cached_property
     def axes(self) -> dict[str, dict[str, list[str]]]:
         """Of each axis, or sweep, its levels in the order of their file, and the scenarios at each.
 
@@ -139,17 +152,24 @@ class Results:
         }
 
     @cached_property
-    def by_level(self) -> dict[tuple[str, str, str], CellRow]:
-        """All flights of a contender at a level, by axis, level and contender."""
-        cells = {(cell.scenario, cell.estimator): cell for cell in self.cells}
+    def by_level(self) -> dict[tuple[str, str, str], Any]:
+        """All flights of a contender at a level as in `rows`, by axis, level and contender."""
         found = {}
         for axis, levels in self.axes.items():
-            for (level, scenarios), name in product(levels.items(), self.estimators):
-                own = [cells[each, name] for each in scenarios]
-                flights = [flight for cell in own for flight in cell.flights]
-                why = next((cell.reason for cell in own if cell.reason), "")
-                found[axis, level, name] = summarise(level, name, "" if flights else why, flights)
+            level_of = {scenario: level for level, own in levels.items() for scenario in own}
+            found |= {(axis, row.scenario, row.estimator): row for row in self._rows(level_of)}
         return found
+
+    @cached_property
+    def totals(self) -> dict[str, Any]:
+        """Every contender over its scenarios: flights, crashes, failed scenarios, means of the metrics."""
+        rows = pd.DataFrame(self.rows).assign(failed=lambda rows: rows["reason"] != "")
+        keys = [metric.key for metric in METRICS]
+        rows = rows.astype(dict.fromkeys(["flights", "crashes", *keys], float))
+        names: Any = rows.groupby("estimator", sort=False)
+        table = names[["flights", "crashes", "failed"]].sum().astype(int).join(names[keys].mean())
+        table["crash_low"], table["crash_high"] = wilson(table["crashes"], table["flights"])
+        return {row.estimator: row for row in records(table.reset_index())}
 
     def breaking_point(self, sweep: str, name: str) -> str:
         """The least level of a sweep at which a flight of a contender crashed, in words."""
@@ -165,35 +185,14 @@ class Results:
     @property
     def cost(self) -> str:
         """What all flights took, those of earlier runs among them, in words."""
-        flights, cpu_s = self.flights, sum(cell.cpu_s for cell in self.cells)
-        text = f"{len(flights)} flight{'s' if len(flights) != 1 else ''}"
-        text += f", {hours(sum(flight.flown_s for flight in flights))} in the air"
+        count, cpu_s = len(self.flights), sum(cell.cpu_s for cell in self.cells)
+        text = f"{count} flight{'s' if count != 1 else ''}"
+        text += f", {hours(sum(self.flights['flown_s']))} in the air"
         return f"{text}; {hours(cpu_s)} of processor time" if cpu_s else text
 
 
 RESULTS = TypeAdapter(Results)
 """Writes results as JSON, and reads them."""
-
-
-class Total(NamedTuple):
-    """A contender over all its scenarios."""
-
-    flights: int
-    crashes: int
-    failed: int  #: scenarios that did not run
-    means: Mapping[str, float | None]  #: of each of `METRICS` over scenarios; None where none was measured
-
-
-def totals_of(rows: Sequence[CellRow]) -> dict[str, Total]:
-    """Every contender over all its scenarios, in the order of the rows."""
-    found = {}
-    for name in dict.fromkeys(row.estimator for row in rows):
-        own = [row for row in rows if row.estimator == name]
-        flights, crashes = (sum(getattr(r, key) or 0 for r in own) for key in ("flights", "crashes"))
-        values = {m.key: [getattr(r, m.key) for r in own if getattr(r, m.key) is not None] for m in METRICS}
-        means = {key: float(np.mean(known)) if known else None for key, known in values.items()}
-        found[name] = Total(flights, crashes, sum(bool(r.reason) for r in own), means)
-    return found
 
 
 def load_results(out: str | Path) -> Results:
@@ -213,15 +212,12 @@ def load_results(out: str | Path) -> Results:
 
 def save_results(out: Path, results: Results) -> None:
     """Write the tables, and what `load_results` reads."""
-    flights = [asdict(each) | _columns(results.levels.get(each.scenario, {})) for each in results.flights]
-    replace_file(out / "flights.parquet", lambda part: pd.DataFrame(flights).to_parquet(part, index=False))
-    write_csv(out / "results.csv", results.rows)
+    levels = pd.DataFrame.from_dict(dict(results.levels), orient="index")
+    # whose column "scenario" is that of the flights, the name of the combination
+    flights = results.flights.join(levels.rename(columns={"scenario": "base scenario"}), on="scenario")
+    replace_file(out / "flights.parquet", lambda part: flights.to_parquet(part, index=False))
+    write_csv(out / "results.csv", [row._asdict() for row in results.rows])
     write_whole(out / "bench.json", RESULTS.dump_json(results))
-
-
-def _columns(levels: Levels) -> dict[str, str]:
-    """Levels as columns of the table, whose column "scenario" has the name of the combination."""
-    return {"base scenario" if axis == "scenario" else axis: level for axis, level in levels.items()}
 
 
 def hours(seconds: float) -> str:

@@ -23,7 +23,6 @@ from .cell import (
     Cell,
     FlightSettings,
     digest_if_there,
-    failed_cell,
     fly_cell,
     load_cell,
     tuning_of,
@@ -111,7 +110,7 @@ def _fly_cells(
     for i, cell in run_all(fly_cell, {i: (*jobs[i], settings) for i in missing}, workers, executor):
         if isinstance(cell, BaseException):  # the worker itself died
             name, _, estimator = jobs[i]
-            cell = failed_cell(name, estimator, f"{type(cell).__name__}: {cell}")
+            cell = Cell(name, estimator, f"{type(cell).__name__}: {cell}")
         cells[i] = cell
         if not cell.reason:
             write_whole(paths[i], CELL.dump_json(cell))

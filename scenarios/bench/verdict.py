@@ -1,19 +1,17 @@
 """The verdict of a benchmark: a sorted table, and one sentence that says what to fly there."""
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
-
-import numpy as np
+from typing import Any, NamedTuple
 
 from quadsim.flight.scenario import Scenario
 
 from .controllers import CASCADED, controller_of, estimator_of
-from .flight_metrics import CellRow, wilson
-from .ranking import Flown, Place, by_contender, listed, paired_difference, ranked, winners
+from .ranking import Difference, Place, listed, paired_difference, ranked
 from .recommendation import recommendation
-from .results import Results, Total, totals_of
+from .results import Results
 
 FEW = 5
 """Flights of each estimator in a scenario below which the headline warns that they are few."""
@@ -25,7 +23,7 @@ class Measure(NamedTuple):
     """What ranks."""
 
     key: str
-    """Of a `CellRow` [deg]."""
+    """Column of the tables [deg]."""
     name: str
 
 
@@ -83,20 +81,22 @@ def verdict(results: Results) -> Verdict:
 
 
 def choice(results: Results, scenarios: Sequence[str]) -> Choice:
-    """What to fly in some of the scenarios; those in which every flight crashes do not count."""
-    measure, unranked = measure_of(results.estimators), results.unranked
-    flights = [f for f in results.flights if f.scenario in scenarios and f.estimator not in unranked]
-    safe = {flight.scenario for flight in flights if not flight.cause}
+    """What to fly in some of the scenarios; those in which every flight crashes do not count.
+
+    The best end at the first that survived fewer flights or whose error is significantly larger, so that none
+    of them ranks below one that is left out.
+    """
+    measure = measure_of(results.estimators)
+    flights = results.flights.query("scenario in @scenarios and estimator not in @results.unranked")
+    safe = {*flights.query("cause == ''")["scenario"]}
     planned = [flight for flight in results.planned if flight[0] in scenarios]
-    flown = by_contender(flights)
-    counted = [flight for flight in planned if flight[0] in safe] or planned
-    places = ranked(flown, counted, measure.key)
-
-    def worse(first: str, other: str) -> bool:
-        low = paired_difference(flown[other], flown[first], measure.key).low
-        return low is not None and low > 0.0
-
-    best = winners(places, worse)
+    places = ranked(flights, [flight for flight in planned if flight[0] in safe] or planned, measure.key)
+    best = places[:1]
+    for place in places[1:]:
+        behind = paired_difference(flights, place.name, places[0].name, measure.key)
+        if place.survived != places[0].survived or behind.mean - behind.half > 0.0:
+            break
+        best.append(place)
     return Choice(places, best, [name for name in scenarios if name not in safe])
 
 
@@ -118,7 +118,7 @@ def said(name: str, measure: Measure) -> str:
 
 def shown(error_deg: float | None) -> str:
     """An error in words."""
-    return "not measured" if error_deg is None or np.isinf(error_deg) else f"{error_deg:.2f}°"
+    return "not measured" if error_deg is None or math.isinf(error_deg) else f"{error_deg:.2f}°"
 
 
 def conditions(scenarios: Mapping[str, Scenario]) -> str:
@@ -136,33 +136,29 @@ def conditions(scenarios: Mapping[str, Scenario]) -> str:
 
 
 def _table(results: Results, places: Sequence[Place], measure: Measure) -> list[Standing]:
-    unranked, totals, levels = results.unranked, totals_of(results.rows), results.by_level
-    order = [place.name for place in places]
+    unranked, order = results.unranked, [place.name for place in places]
     left_out = [name for name in results.estimators if name not in order and name not in unranked]
-    flown = by_contender(results.flights)
-    behind = {name: _behind(flown[name], flown[order[0]], measure) for name in order[1:]}
     rows = []
     for name in [*order, *left_out, *unranked]:
-        own = totals[name]
-        worst = max(
-            ((axis, row) for (axis, _, each), row in levels.items() if each == name and row.flights),
-            key=lambda each: (each[1].crash_rate or 0.0, getattr(each[1], measure.key) or 0.0),
-            default=None,
-        )
-        note = f"not ranked: it {unranked[name]}" if name in unranked else ""
+        own = results.totals[name]
+        flown = [(axis, row) for (axis, _, n), row in results.by_level.items() if n == name and row.flights]
+        rates = [(row.crash_rate, getattr(row, measure.key) or 0.0) for _, row in flown]
+        notes = [f"not ranked: it {unranked[name]}"] if name in unranked else []
         if own.failed:
             why = next(cell.reason for cell in results.cells if cell.estimator == name and cell.reason)
-            note = "; ".join(filter(None, (note, f"did not run in {_count(own.failed, 'scenario')}: {why}")))
-        low, high = wilson(own.crashes, own.flights)
+            notes.append(f"did not run in {_count(own.failed, 'scenario')}: {why}")
+        interval, behind = f"{100 * own.crash_low:.0f}–{100 * own.crash_high:.0f}", "–"
+        if name in order[1:]:
+            behind = _with_interval(paired_difference(results.flights, name, order[0], measure.key))
         texts = {
             "rank": str(order.index(name) + 1) if name in order else "–",
-            "crashed": f"{own.crashes} of {own.flights} ({100 * low:.0f}–{100 * high:.0f} %)",
-            "error [°]": _number(own.means["error_deg"]),
-            "tracking [°]": _number(own.means["attitude_deg"]),
-            "behind the best [°]": behind.get(name, "–"),
-            "command change [rad/s]": _number(own.means["jitter"]),
-            "at worst": described(*worst, measure) if worst else "–",
-            "note": note,
+            "crashed": f"{own.crashes} of {own.flights} ({interval} %)",
+            "error [°]": _number(own.error_deg),
+            "tracking [°]": _number(own.attitude_deg),
+            "behind the best [°]": behind,
+            "command change [rad/s]": _number(own.jitter),
+            "at worst": described(*flown[rates.index(max(rates))], measure) if flown else "–",
+            "note": "; ".join(notes),
         }
         if measure == ERROR:
             del texts["command change [rad/s]"]
@@ -170,20 +166,17 @@ def _table(results: Results, places: Sequence[Place], measure: Measure) -> list[
     return rows
 
 
-def described(axis: str, row: CellRow, measure: Measure = ERROR) -> str:
+def described(axis: str, row: Any, measure: Measure) -> str:
     """A level with its crashes and error: "storm, 2 of 10 crashed, 3.10°"."""
     level = row.scenario if axis == "scenario" else f"{axis}: {row.scenario}"
     crashes = f"{row.crashes} of {row.flights} crashed, " if row.crashes else ""
     return f"{level}, {crashes}{shown(getattr(row, measure.key))}"
 
 
-def _behind(other: Flown, best: Flown, measure: Measure) -> str:
-    """The paired difference from the best, with half its 95 % interval."""
-    found = paired_difference(other, best, measure.key)
-    if found.mean is None:
+def _with_interval(found: Difference) -> str:
+    if math.isnan(found.mean):
         return "–"
-    half = "" if found.low is None or found.high is None else f" ± {(found.high - found.low) / 2:.2f}"
-    return f"{found.mean:+.2f}{half}"
+    return f"{found.mean:+.2f}" + (f" ± {found.half:.2f}" if found.half >= 0.0 else "")
 
 
 # --- the sentence ---------------------------------------------------------------------------------
@@ -193,7 +186,7 @@ def _nobody(results: Results) -> tuple[str, list[str]]:
     """Headline and advice where nothing that is ranked flew."""
     reasons = {cell.estimator: f"did not run ({cell.reason})" for cell in results.cells if cell.reason}
     flaws = {name: why for name, why in results.unranked.items() if name not in results.references}
-    if any(flight.estimator in results.references for flight in results.flights) and not {**reasons, **flaws}:
+    if not {**reasons, **flaws}:
         return "Nothing is compared: only estimators that receive the true attitude ran.", []
     what = "No estimator is fit" if flaws else "No estimator ran"
     why = "; ".join(f"{name} {reason}" for name, reason in {**reasons, **flaws}.items())
@@ -205,107 +198,76 @@ def _nobody(results: Results) -> tuple[str, list[str]]:
 
 def _headline(results: Results, whole: Choice, measure: Measure) -> str:
     """What to fly in these scenarios, and why."""
-    unranked, totals = results.unranked, totals_of(results.rows)
-    compared = [name for name in results.estimators if name not in unranked]
+    compared = [name for name in results.estimators if name not in results.unranked]
     if len(compared) == 1:
-        return _alone(compared[0], totals[compared[0]], measure)
+        own = results.totals[compared[0]]
+        place = Place(compared[0], own.flights, own.flights - own.crashes, 0, getattr(own, measure.key))
+        failed = f"; {_count(own.failed, 'scenario')} did not run" if own.failed else ""
+        return f"{said(place.name, measure)}: {outcome([place], measure)}{failed}."
     left = [name for name in results.scenarios if name not in whole.lost]
     if not left:
         return f"No estimator survives {_where(whole.lost, 'any of these')}."
-    text, seeds = recommended(whole, measure), results.settings.seeds
-    if seeds == 1 and (alike := sum(place.whole for place in whole.places)) > 1:
-        text = (
-            f"{said(whole.places[0].name, measure)} has the smallest {measure.name}, "
-            f"{shown(whole.places[0].error)}, of the {alike} that did not crash; one flight in each scenario "
-            "is too few to recommend it."
-        )
-    elif seeds < FEW and len(whole.best) > 1:
-        text += f" {_count(seeds, 'flight')} of each in a scenario cannot show small differences."
-    where = f"in {_where(left, 'these')} {text}"
+    text, seeds = f"in {_where(left, 'these')} {recommended(whole, measure)}", results.settings.seeds
+    if seeds < FEW and len(whole.best) > 1:
+        few = f"{_count(seeds, 'flight')} of each in a scenario {'is' if seeds == 1 else 'are'} too few"
+        text += f" {few} to choose between them."
     if whole.lost:
-        return f"No estimator survives {_where(whole.lost, 'any of')}; {where}"
-    return where[0].upper() + where[1:]
+        return f"No estimator survives {_where(whole.lost, 'any of')}; {text}"
+    return text[0].upper() + text[1:]
 
 
 def _by_condition(
     results: Results, measure: Measure, lost: Sequence[str], partial: str
 ) -> tuple[str, list[str]]:
     """The headline with a clause for each condition of the experiment, and a line for each."""
-    clauses, unfit, names, lines = [], [], {}, []
+    fly_where: dict[str, str] = {}
+    unfit, lines = [], []
     for condition in results.experiment.conditions:
         part = [k for k, levels in results.levels.items() if levels[condition.axis] in condition.levels]
         found = choice(results, part)
         lines.append(f"{condition.name}: {recommended(found, measure) if found.best else 'none flew.'}")
-        if not found.best or not found.best[0].fit:
+        if found.best and found.best[0].fit:
+            fly_where[condition.clause] = _first_of(found.best, measure)
+        else:
             unfit.append(condition.clause)
-            continue
-        first = found.best[0]
-        alike = sorted(found.best, key=lambda place: place.error)
-        named = _first_of([said(place.name, measure) for place in alike])
-        named += "" if first.whole else f" ({first.lost})"
-        names[named] = None
-        clauses.append(f"{named} {condition.clause}")
-    if not clauses:
+    if not fly_where:
         return "No estimator is fit to fly on these conditions.", lines
     fly = "Fly" if results.experiment.held_out else f"On these {len(results.scenarios)} combinations fly"
     if partial:
         fly = f"On a part of the held-out suite ({partial}) fly"
     if lost:
-        survived_by_none = f"No estimator survives {_where(lost, 'any of')}"
-        fly = f"{survived_by_none}; elsewhere {fly[0].lower()}{fly[1:]}"
-    if len(names) == 1 and not unfit:
-        return f"{fly} {next(iter(names))}, {results.experiment.always}.", lines
+        fly = f"No estimator survives {_where(lost, 'any of')}; elsewhere {fly[0].lower()}{fly[1:]}"
+    first, *others = fly_where.values()
+    if not unfit and {*others} <= {first}:
+        return f"{fly} {first}, {results.experiment.always}.", lines
     rest = f"; no estimator is fit to fly {listed(unfit, 'or')}" if unfit else ""
-    return f"{fly} {', '.join(clauses)}{rest}.", lines
+    return f"{fly} {', '.join(f'{named} {clause}' for clause, named in fly_where.items())}{rest}.", lines
 
 
-def recommended(found: Choice, measure: Measure = ERROR) -> str:
+def recommended(found: Choice, measure: Measure) -> str:
     """What to fly and why, as the end of a sentence."""
-    first, best = found.best[0], found.best
-    names = listed([said(place.name, measure) for place in best], "or")
-    flights, error = _count(first.flights, "flight"), shown(first.error)
-    if not first.fit:
-        return f"no estimator is fit to fly: {names} {first.lost}, the others in more."
-    if len(best) > 1:
-        crashes = f"none of them crashed in {flights}" if first.whole else f"each {first.lost}"
-        most = shown(max(place.error for place in best))
-        return (
-            f"fly {names}; {crashes}, and the {measure.name} of the others, up to {most}, is not "
-            f"significantly larger than that of {said(first.name, measure)}, {error}."
-        )
-    if not first.whole:
-        own = f"its {measure.name} is {error} in the others"
-        return f"fly {names}, though it {first.lost}; no other survived more, and {own}."
-    alike = sum(place.whole for place in found.places)
-    if alike == 1:
-        survives = f"to survive all {flights}" if first.flights > 1 else "to survive"
-        only = survives if len(found.places) > 1 else f"that ran, with no crash in {flights}"
-        return f"fly {names}, the only one {only}; its {measure.name} is {error}."
-    of_those = "" if alike == len(found.places) else f" of the {alike} that survived all"
-    return f"fly {names}, with no crash in {flights} and the smallest {measure.name}{of_those}, {error}."
+    names = listed([said(place.name, measure) for place in found.best], "or")
+    if not found.best[0].fit:
+        return f"no estimator is fit to fly: {names} {found.best[0].fate}, the others in more."
+    return f"fly {names} ({outcome(found.best, measure)})."
 
 
-def _alone(name: str, own: Total, measure: Measure) -> str:
-    """What happened, where there is nothing to compare with."""
-    name, error = said(name, measure), shown(own.means[measure.key])
-    failed = f"; {_count(own.failed, 'scenario')} did not run" if own.failed else ""
-    if own.flights == 1:
-        return (
-            f"{name} crashed{failed}."
-            if own.crashes
-            else f"{name} did not crash: {measure.name} {error}{failed}."
-        )
-    crashes = f"crashed in {own.crashes} of" if own.crashes else "no crash in"
-    of_those = " in the others" if own.crashes else ""
-    error = "" if own.crashes == own.flights else f", {measure.name} {error}{of_those}"
-    return f"{name}: {crashes} {own.flights} flights{error}{failed}."
+def outcome(best: Sequence[Place], measure: Measure) -> str:
+    """What became of contenders that tie: "no crash in 4 flights, error 1.00°"."""
+    first, errors = best[0], [place.error for place in best]
+    text = first.fate + (" each" if len(best) > 1 else "")
+    if first.survived:
+        text += f", {measure.name} {' to '.join(dict.fromkeys(shown(f(errors)) for f in (min, max)))}"
+        text += "" if first.whole else " in the others"
+    return text + ("; the difference is not significant" if len(best) > 1 else "")
 
 
-def _first_of(names: Sequence[str]) -> str:
+def _first_of(best: Sequence[Place], measure: Measure) -> str:
     """Those that tie, the best of many; the line of a condition names all."""
-    if len(names) <= MOST_NAMED + 1:
-        return listed(names, "or")
-    return listed([*names[:MOST_NAMED], f"one of {len(names) - MOST_NAMED} others that do not differ"], "or")
+    names = [said(place.name, measure) for place in sorted(best, key=lambda place: place.error)]
+    if len(names) > MOST_NAMED + 1:
+        names[MOST_NAMED:] = [f"one of {len(names) - MOST_NAMED} others that do not differ"]
+    return listed(names, "or") + ("" if best[0].whole else f" ({best[0].fate})")
 
 
 def _count(count: int, what: str) -> str:

@@ -20,7 +20,7 @@ from ..bench.cell import FlightSettings
 from ..bench.controllers import TRUTH
 from ..bench.flight_log import SHARED
 from ..bench.flight_metrics import ERROR_BINS, ERROR_DECADES, METRICS, Metric
-from ..bench.results import Results, hours, totals_of
+from ..bench.results import Results, hours
 from ..bench.series import FlightSeries, compress_flights
 from ..bench.verdict import ERROR, Verdict, measure_of, verdict
 from .template import render
@@ -115,7 +115,7 @@ def write_report(
         "contender": contender.capitalize(),
         "measure": measure.name,
         "ranked": ranked,
-        "totals": totals_of(results.rows),
+        "totals": results.totals if results.cells else {},
         "axes": results.axes,
         "by_scenario": not results.levels,
         "offline": offline,
@@ -139,7 +139,7 @@ def write_report(
     }
     if results.cells:
         data |= _closed_loop_data(results, cells, shared)
-        data["levels"] = {"|".join(key): vars(row) for key, row in results.by_level.items()}
+        data["levels"] = {"|".join(key): row._asdict() for key, row in results.by_level.items()}
         data["best"] = next((name for name in ranked if name not in results.unranked), None)
     payload = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     return write_whole(Path(path).expanduser(), render("report/report.html", payload=payload, **context))
@@ -202,7 +202,7 @@ def _closed_loop_data(
             }
             for cell, series in zip(results.cells, cells, strict=True)
         },
-        "means": {name: total.means for name, total in totals_of(results.rows).items()},
+        "means": {name: total._asdict() for name, total in results.totals.items()},
         "shared": {scenario: described(series) for scenario, series in shared.items()},
         "faults": {n: fault_spans(s.faults, s.duration_s) for n, s in results.scenarios.items()},
         "series_seed": 0,

@@ -1,7 +1,7 @@
 import csv
 import json
 from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
-from dataclasses import fields, replace
+from dataclasses import fields
 from importlib.resources import files
 from io import StringIO
 from pathlib import Path
@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from flown import table
 from processes import square
 from rich.console import Console
 
@@ -22,8 +23,6 @@ from scenarios.bench import runner
 from scenarios.bench.cell import FlightSettings, fly_cell, weights_digest
 from scenarios.bench.flight_log import fly, log_dtype
 from scenarios.bench.flight_metrics import (
-    FlightMetrics,
-    FlightRow,
     convergence_time,
     error_histogram,
     flight_metrics,
@@ -135,16 +134,15 @@ def test_recovery_is_the_longest_spell_away_that_ended():
 
 
 def test_wilson_interval_of_textbook_values():
-    np.testing.assert_allclose(wilson(0, 10), (0.0, 0.2775), atol=1e-4)  # Brown, Cai, DasGupta 2001
-    np.testing.assert_allclose(wilson(5, 10), (0.2366, 0.7634), atol=1e-4)
-    assert wilson(0, 0) == (0.0, 1.0)
+    found = wilson(pd.Series([0, 5, 10, 0]), pd.Series([10, 10, 10, 0]))  # Brown, Cai, DasGupta 2001
+    np.testing.assert_allclose(found, [[0.0, 0.2366, 0.7225, 0.0], [0.2775, 0.7634, 1.0, 1.0]], atol=1e-4)
 
 
 def test_median_convergence_is_empty_when_most_never_converge():
-    flight = FlightRow("a", "x", 0, "", 1.0, *[1.0] * len(fields(FlightMetrics)))
-    never = replace(flight, converge_s=None)
-    assert summarise("a", "x", "", [flight, never, never]).converge_s is None
-    assert summarise("a", "x", "", [flight, flight, never]).converge_s == 1.0
+    outcomes = {"most": [1.0, 1.0, None], "few": [1.0, None, None]}
+    flights = table(*((name, "x", k, 0.5) for name in outcomes for k in range(3)))
+    flights["converge_s"] = np.array([*outcomes["most"], *outcomes["few"]], float)
+    np.testing.assert_array_equal(summarise(flights)["converge_s"], [1.0, np.nan])
 
 
 # --- a flight -------------------------------------------------------------------------------------
@@ -165,7 +163,7 @@ def test_log_holds_what_the_loop_did():
 def test_true_attitude_follows_the_command_better_than_a_poor_estimate():
     scenario = Scenario(description="", duration_s=2.0, start=Start(tilt_deg=20.0))
     cells = [fly_cell("x", scenario, name, FlightSettings(4)) for name in ("truth", "complementary")]
-    good, poor = (cell.row.attitude_deg for cell in cells)
+    good, poor = (np.mean([flight["attitude_deg"] for flight in cell.flights]) for cell in cells)
     assert good < 0.9 * poor
 
 
@@ -175,14 +173,15 @@ def test_true_attitude_follows_the_command_better_than_a_poor_estimate():
 def test_results_do_not_depend_on_the_workers(tmp_path):
     one = small(tmp_path / "one")
     two = small(tmp_path / "two", workers=2)
-    assert one.flights == two.flights
+    assert one.cells == two.cells
     for name in ("results.csv", "flights.parquet"):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
 
 
 def test_flights_do_not_depend_on_how_many_there_are(tmp_path):
     few, many = small(tmp_path / "few", seeds=1), small(tmp_path / "many", seeds=3)
-    assert [flight for flight in many.flights if flight.seed == 0] == few.flights
+    first = many.flights[many.flights["seed"] == 0].reset_index(drop=True)
+    pd.testing.assert_frame_equal(first, few.flights)
 
 
 @pytest.fixture
@@ -202,8 +201,7 @@ def test_second_run_flies_nothing_says_the_same_and_is_read_back(tmp_path, flown
     assert len(flown) == 4
     assert (again, again.cost) == (first, first.cost)
     assert load_results(tmp_path) == first
-    table = pd.read_parquet(tmp_path / "flights.parquet")
-    assert table["error_deg"].tolist() == [flight.error_deg for flight in first.flights]
+    pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "flights.parquet"), first.flights)
 
 
 def test_interrupted_run_goes_on_with_what_is_missing(tmp_path, monkeypatch, flown):
@@ -257,7 +255,7 @@ def test_weights_fly_like_the_estimator_that_they_are_of(tmp_path):
     ours.write_bytes((files("assets") / "weights" / "att-snn.safetensors").read_bytes())
     shipped, mine = small(tmp_path, scenarios=["hover"], names=["att-snn", str(ours)]).rows
     assert mine.estimator == str(ours)
-    assert replace(mine, estimator="att-snn") == shipped
+    assert mine._replace(estimator="att-snn") == shipped
     ours.write_bytes((files("assets") / "weights" / "att-snn-paper.safetensors").read_bytes())
     other = small(tmp_path, scenarios=["hover"], names=[str(ours)]).rows[0]
     assert other.error_deg != mine.error_deg
@@ -318,8 +316,8 @@ def test_dead_worker_is_a_row_with_its_reason(tmp_path):
 
 def test_the_standings_have_ranks_means_and_the_worst_scenario(tmp_path, crashing):
     many = small(tmp_path / "many", scenarios=["hover", "wind-2", crashing])
-    crashed = [each for each in many.flights if each.scenario == "crashing"]
-    assert {(each.cause, each.flown_s) for each in crashed} == {("tilted over", 0.0)}
+    crashed = many.flights[many.flights["scenario"] == "crashing"]
+    assert {*zip(crashed["cause"], crashed["flown_s"], strict=True)} == {("tilted over", 0.0)}
     row = many.rows[-1]
     assert (row.crashes, row.crash_rate) == (2, 1.0)
     assert 0.3 < row.crash_low < row.crash_high == 1.0
@@ -373,7 +371,7 @@ def test_folder_without_results_is_refused(tmp_path):
 def test_any_flight_of_a_benchmark_can_be_looked_at(tmp_path):
     benchmark = small(tmp_path / "bench", names=["mahony"], scenarios=["hover"], seeds=3)
     alone = fly_scenario("hover", "mahony", tmp_path, changes={"duration_s": SHORT}, flight=2)
-    assert replace(alone.results.flights[0], seed=2) == benchmark.flights[2]
+    assert alone.results.cells[0].flights[0] | {"seed": 2} == benchmark.cells[0].flights[2]
     with alone.samples.open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 60
@@ -444,7 +442,7 @@ def test_a_changed_file_that_the_users_code_imports_is_flown_anew(tmp_path, monk
     after = cells()
     assert before.keys() - flown == {("hover", "truth")}
     mine = "hover", "est.py:Mine"
-    assert after[mine].flights[0].error_deg > 5 + before[mine].flights[0].error_deg
+    assert after[mine].flights[0]["error_deg"] > 5 + before[mine].flights[0]["error_deg"]
     of_controller = weights_digest("truth @ control.py:make")
     Path("helper.py").write_text("SIZE = 0.3")
     assert weights_digest("truth @ control.py:make") != of_controller

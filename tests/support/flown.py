@@ -1,11 +1,11 @@
 """Results with flights that are made up."""
 
-from dataclasses import fields
+import pandas as pd
 
 from quadsim.flight.scenario import Scenario
-from scenarios.bench.cell import Cell, FlightSettings, failed_cell
+from scenarios.bench.cell import Cell, FlightSettings
 from scenarios.bench.experiment import SUITE
-from scenarios.bench.flight_metrics import FlightMetrics, FlightRow
+from scenarios.bench.flight_metrics import FLIGHT
 from scenarios.bench.results import Results
 
 WHOLE_S = 20.0
@@ -16,12 +16,16 @@ def crash(at_s, error=0.1):
     return at_s, error
 
 
-def flight(scenario, name, seed, outcome):
-    """An error, or a crash."""
+def flight(seed, outcome):
+    """A flight of a cell with an error, or a crash."""
     at_s, error = outcome if isinstance(outcome, tuple) else (None, outcome)
-    numbers = dict.fromkeys(each.name for each in fields(FlightMetrics))
-    numbers |= {"error_deg": error, "attitude_deg": 2 * error, "jitter": 5.0}
-    return FlightRow(scenario, name, seed, "tilted over" * (at_s is not None), at_s or WHOLE_S, **numbers)
+    numbers = {"error_deg": error, "attitude_deg": 2 * error, "jitter": 5.0, "flown_s": at_s or WHOLE_S}
+    return dict.fromkeys(FLIGHT) | numbers | {"seed": seed, "cause": "tilted over" * (at_s is not None)}
+
+
+def table(*flights):
+    """Flights as (scenario, estimator, seed, outcome)."""
+    return pd.DataFrame([{"scenario": s, "estimator": e} | flight(*each) for s, e, *each in flights])
 
 
 def benchmark(outcomes, references=("truth",), flaws=None, scenarios=None, experiment=SUITE, levels=None):
@@ -31,12 +35,12 @@ def benchmark(outcomes, references=("truth",), flaws=None, scenarios=None, exper
     for scenario in names:
         for name, own in outcomes.items():
             if isinstance(flown := own[scenario], str):
-                cells.append(failed_cell(scenario, name, flown))
+                cells.append(Cell(scenario, name, flown))
                 continue
             seeds = len(flown)
-            flights = [flight(scenario, name, seed, each) for seed, each in enumerate(flown)]
+            flights = [flight(seed, each) for seed, each in enumerate(flown)]
             reference = name.split(" @ ")[0] in references
             flaw = (flaws or {}).get(name, "")
-            cells.append(Cell(scenario, name, "", flights, [], None, reference, flaw))
+            cells.append(Cell(scenario, name, flights=flights, receives_truth=reference, flaw=flaw))
     known = scenarios or {name: Scenario(description="") for name in names}
     return Results(known, list(outcomes), FlightSettings(seeds), cells, experiment, levels or {})
