@@ -46,9 +46,9 @@ class Results:
     @cached_property
     def rows(self) -> list[Any]:
         """A row for each cell: why it did not run, crashes and metrics; None without a value."""
-        return self._rows({name: name for name in self.scenarios})
+        return records(self._summary({name: name for name in self.scenarios}))
 
-    def _rows(self, level_of: Mapping[str, str]) -> list[Any]:
+    def _summary(self, level_of: Mapping[str, str]) -> pd.DataFrame:
         """A row for all flights of each contender at each level, which is called "scenario"."""
         own = [cell for cell in self.cells if cell.scenario in level_of]
         cells = [(level_of[cell.scenario], cell.estimator, cell.reason) for cell in own]
@@ -56,7 +56,7 @@ class Results:
         levels = self.flights.assign(scenario=self.flights["scenario"].map(level_of.get))
         table = reasons.agg(lambda own: next(filter(None, own), "")).to_frame().join(summarise(levels))
         table["reason"] = table["reason"].where(table["flights"].isna(), "")
-        return records(table.reset_index())
+        return table.reset_index()
 
     @property
     def references(self) -> set[str]:
@@ -157,17 +157,15 @@ class Results:
         found = {}
         for axis, levels in self.axes.items():
             level_of = {scenario: level for level, own in levels.items() for scenario in own}
-            found |= {(axis, row.scenario, row.estimator): row for row in self._rows(level_of)}
+            found |= {(axis, row.scenario, row.estimator): row for row in records(self._summary(level_of))}
         return found
 
     @cached_property
     def totals(self) -> dict[str, Any]:
         """Every contender over its scenarios: flights, crashes, failed scenarios, means of the metrics."""
-        rows = pd.DataFrame(self.rows).assign(failed=lambda rows: rows["reason"] != "")
-        keys = [metric.key for metric in METRICS]
-        rows = rows.astype(dict.fromkeys(["flights", "crashes", *keys], float))
-        names: Any = rows.groupby("estimator", sort=False)
-        table = names[["flights", "crashes", "failed"]].sum().astype(int).join(names[keys].mean())
+        table = self._summary({name: name for name in self.scenarios})
+        names: Any = table.assign(failed=table["reason"] != "").groupby("estimator", sort=False)
+        table = names[["flights", "crashes", "failed"]].sum().join(names[[m.key for m in METRICS]].mean())
         table["crash_low"], table["crash_high"] = wilson(table["crashes"], table["flights"])
         return {row.estimator: row for row in records(table.reset_index())}
 

@@ -2,8 +2,8 @@
 
 import base64
 import zlib
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,9 @@ LEVELS, SIGNAL_LEVELS = 32767, 1023
 """Integers on either side of zero, of a channel and of a signal: noise costs room."""
 ANGLE_STEP, LENGTH_STEP = 0.002, 0.0005
 """Least steps of angles [deg] and of positions [m]: nothing that a plot shows is finer."""
+ANGLES = ("roll", "pitch", "yaw", "roll_est", "pitch_est")
+CHANNELS = (*ANGLES, "x", "y", "z", "x_ref", "y_ref", "z_ref")
+"""Angles [deg], positions and set-points [m]."""
 
 
 @dataclass(frozen=True)
@@ -30,18 +33,21 @@ class Channel:
 
 @dataclass(frozen=True)
 class FlightSeries:
-    """One flight in time: angles [deg], positions and set-points [m]."""
+    """One flight in time."""
 
     dt: float
     """Time between two samples [s]."""
     channels: dict[str, Channel]
-    signals: dict[str, Channel] = field(default_factory=dict)
-    """What is behind the estimate, by the names in `flight_log.Flown`; those without a value left out."""
+    """Those of `CHANNELS`, and the signals of `flight_log.Flown` that have a value."""
 
     @property
     def samples(self) -> int:
         """Length of every channel."""
         return len(_integers(next(iter(self.channels.values()))))
+
+    def only(self, wanted: Callable[[str], bool]) -> "FlightSeries":
+        """The same with some of the channels."""
+        return FlightSeries(self.dt, {name: each for name, each in self.channels.items() if wanted(name)})
 
 
 def decimation(rate_hz: float) -> int:
@@ -60,13 +66,11 @@ def pack_series(log: NDArray[np.void], rate_hz: float, signals: Mapping[str, Arr
     every = decimation(rate_hz)
     shown = log[::every]
     angles = np.degrees(np.hstack([shown["euler"], shown["estimate"]]))
-    names = ["roll", "pitch", "yaw", "roll_est", "pitch_est", "x", "y", "z", "x_ref", "y_ref", "z_ref"]
-    columns = np.hstack([angles, shown["position"], shown["target"]])
-    steps = [ANGLE_STEP] * 5 + [LENGTH_STEP] * 6
-    channels = {n: pack_channel(v, LEVELS, step) for n, v, step in zip(names, columns.T, steps, strict=True)}
-    packed = {name: pack_channel(v[: len(shown)], SIGNAL_LEVELS) for name, v in signals.items()}
-    known = {name: channel for name, channel in packed.items() if (_integers(channel) != MISSING).any()}
-    return FlightSeries(every / rate_hz, channels, known)
+    columns = zip(CHANNELS, np.hstack([angles, shown["position"], shown["target"]]).T, strict=True)
+    channels = {n: pack_channel(v, LEVELS, ANGLE_STEP if n in ANGLES else LENGTH_STEP) for n, v in columns}
+    known = {name: v[: len(shown)] for name, v in signals.items() if not np.isnan(v[: len(shown)]).all()}
+    channels |= {name: pack_channel(v, SIGNAL_LEVELS) for name, v in known.items()}
+    return FlightSeries(every / rate_hz, channels)
 
 
 def compress_flights(flights: Iterable[FlightSeries]) -> str:

@@ -6,7 +6,7 @@ import os
 import posixpath
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
 
@@ -19,9 +19,9 @@ from quadsim.vehicle import load_vehicle
 from ..bench.cell import FlightSettings
 from ..bench.controllers import TRUTH
 from ..bench.flight_log import SHARED
-from ..bench.flight_metrics import ERROR_BINS, ERROR_DECADES, METRICS, Metric
+from ..bench.flight_metrics import ERROR_BINS, ERROR_DECADES, METRICS
 from ..bench.results import Results, hours
-from ..bench.series import FlightSeries, compress_flights
+from ..bench.series import CHANNELS, FlightSeries, compress_flights
 from ..bench.verdict import ERROR, Verdict, measure_of, verdict
 from .template import render
 
@@ -97,9 +97,10 @@ def write_report(
     offline = offline or OfflineSection(())
     judged = verdict(closed_loop) if closed_loop else Verdict(offline.headline, [], [])
     results = closed_loop or Results({}, [], FlightSettings(), [])
-    measure, metrics = measure_of(results.estimators), _metrics(results)
+    measure, scenarios = measure_of(results.estimators), results.scenarios
+    metrics = sorted(METRICS, key=lambda metric: metric.key != measure.key) if results.cells else []
     ranked = [standing.estimator for standing in judged.standings]
-    place = {pair: k for k, pair in enumerate(product(results.scenarios, ranked))}
+    place = {pair: k for k, pair in enumerate(product(scenarios, ranked))}
     recorded = [str(row.get("estimator")) for row in offline.rows]
     names = results.estimators or recorded
     order = list(dict.fromkeys([*(n for n in (TRUTH, focus) if n in names), *ranked, *names]))
@@ -115,12 +116,10 @@ def write_report(
         "contender": contender.capitalize(),
         "measure": measure.name,
         "ranked": ranked,
-        "totals": results.totals if results.cells else {},
-        "axes": results.axes,
         "by_scenario": not results.levels,
         "offline": offline,
-        "pictures": {name: _encoded(each.read_bytes()) for name, each in offline.pictures.items()},
-        "film": film and _encoded(film.read_bytes()),
+        "pictures": {name: _encoded(each) for name, each in offline.pictures.items()},
+        "film": film and _encoded(film),
         "files": files,
         "footer": footer,
         "record": record,
@@ -129,24 +128,38 @@ def write_report(
         "flights": compress_flights([*filter(None, cells), *shared.values()]),
         **uplot(),
     }
-    data: dict[str, object] = {
+    vehicles = {name: load_vehicle(each.vehicle) for name, each in scenarios.items()}
+    data = {
         "estimators": list(dict.fromkeys(names)),
         "looks": {name: look._asdict() for name, look in looks([*names, *recorded]).items()},
         "ranked": ranked,
-        "scenarios": list(results.scenarios),
+        "scenarios": list(scenarios),
         "shown": order[:SHOWN],
         "metrics": [vars(metric) for metric in metrics],
+        "edges": dict(zip(("low", "high", "bins"), (*ERROR_DECADES, ERROR_BINS), strict=True)),
+        "cells": {
+            f"{cell.scenario}|{cell.estimator}": {
+                "histogram": cell.histogram,
+                "series": series and described(series),
+            }
+            for cell, series in zip(results.cells, cells, strict=True)
+        },
+        "means": {name: total._asdict() for name, total in results.totals.items()},
+        "levels": {"|".join(key): row._asdict() for key, row in results.by_level.items()},
+        "shared": {name: described(series) for name, series in shared.items()},
+        "faults": {name: fault_spans(each.faults, each.duration_s) for name, each in scenarios.items()},
+        "bodies": {
+            name: {"hubs": vehicle.hubs.tolist(), "prop_radius": vehicle.frame.prop_radius}
+            for name, vehicle in vehicles.items()
+        },
+        "best": next((name for name in ranked if name not in results.unranked), None),
     }
-    if results.cells:
-        data |= _closed_loop_data(results, cells, shared)
-        data["levels"] = {"|".join(key): row._asdict() for key, row in results.by_level.items()}
-        data["best"] = next((name for name in ranked if name not in results.unranked), None)
     payload = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     return write_whole(Path(path).expanduser(), render("report/report.html", payload=payload, **context))
 
 
-def _encoded(file: bytes) -> str:
-    return base64.b64encode(file).decode()
+def _encoded(file: Path) -> str:
+    return base64.b64encode(file.read_bytes()).decode()
 
 
 def page_flights(
@@ -167,52 +180,14 @@ def page_flights(
     cells: list[FlightSeries | None] = []
     shared: dict[str, FlightSeries] = {}
     for cell in results.cells:
-        series = cell.series if cell.estimator in timed else None
-        if series:
-            own = {k: each for k, each in series.signals.items() if k not in SHARED}
-            channels = series.channels | (own if cell.estimator in detailed else {})
-            series = replace(series, channels=channels, signals={})
-        cells.append(series)
-        if cell.series and cell.series.signals:
-            known = {k: cell.series.signals[k] for k in SHARED if k in cell.series.signals}
-            found = FlightSeries(cell.series.dt, known)
-            shared[cell.scenario] = max(shared.get(cell.scenario, found), found, key=lambda s: s.samples)
+        own = None
+        if cell.series:
+            kept = (lambda name: name not in SHARED) if cell.estimator in detailed else CHANNELS.__contains__
+            own = cell.series.only(kept) if cell.estimator in timed else None
+            if (found := cell.series.only(SHARED.__contains__)).channels:
+                shared[cell.scenario] = max(shared.get(cell.scenario, found), found, key=lambda s: s.samples)
+        cells.append(own)
     return cells, shared
-
-
-def _metrics(results: Results) -> list[Metric]:
-    """The columns, that which ranks first; none without flights."""
-    first = measure_of(results.estimators).key
-    return sorted(METRICS, key=lambda metric: metric.key != first) if results.cells else []
-
-
-def _closed_loop_data(
-    results: Results,
-    cells: Sequence[FlightSeries | None],
-    shared: Mapping[str, FlightSeries],
-) -> dict[str, object]:
-    """What the charts show of a benchmark."""
-    low, high = ERROR_DECADES
-    return {
-        "edges": {"low": low, "high": high, "bins": ERROR_BINS},
-        "cells": {
-            f"{cell.scenario}|{cell.estimator}": {
-                "histogram": cell.histogram,
-                "series": series and described(series),
-            }
-            for cell, series in zip(results.cells, cells, strict=True)
-        },
-        "means": {name: total._asdict() for name, total in results.totals.items()},
-        "shared": {scenario: described(series) for scenario, series in shared.items()},
-        "faults": {n: fault_spans(s.faults, s.duration_s) for n, s in results.scenarios.items()},
-        "series_seed": 0,
-        "bodies": {n: _body(s.vehicle) for n, s in results.scenarios.items()},
-    }
-
-
-def _body(name: str) -> dict[str, object]:
-    vehicle = load_vehicle(name)
-    return {"hubs": vehicle.hubs.tolist(), "prop_radius": vehicle.frame.prop_radius}
 
 
 def described(series: FlightSeries) -> dict[str, object]:

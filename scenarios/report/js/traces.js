@@ -70,7 +70,7 @@ function drawFaults(plot, labelled) {
 function drawCompared(crew, end) {
   const quantity = QUANTITIES[$("quantity").value];
   $("plot-note").textContent = crew.length
-    ? `One flight of each estimator, all with the same seed (${data.series_seed}), hence the same wind and the same sensor noise; ${(1 / crew[0][1].dt).toFixed(0)} samples each second. ✕: crashed. Shaded: a fault.` + (quantity.truth ? " Thin: estimate or position; broad and pale: truth or set point." : "")
+    ? `One flight of each estimator, all with the same seed (0), hence the same wind and the same sensor noise; ${(1 / crew[0][1].dt).toFixed(0)} samples each second. ✕: crashed. Shaded: a fault.` + (quantity.truth ? " Thin: estimate or position; broad and pale: truth or set point." : "")
     : state.missing;
   if (!crew.length) return;
   const longest = crew.reduce((a, b) => (b[1].x.length > a[1].x.length ? b : a))[1], n = longest.x.length;
