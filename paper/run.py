@@ -1,16 +1,32 @@
 """Plan, make the stages that are missing, judge the claims, write the pages."""
 
 import json
+import re
 import shutil
 from collections import Counter
 from pathlib import Path
 from typing import NamedTuple
 
-from .page.claims import Judgement
-from .page.pages import write_pages
+import jinja2
+import matplotlib
+
+from quadsim.dataset.figures import STYLE
+from quadsim.runs.files import save_figure, write_whole
+
+from .page import tables
+from .page.claims import CLAIMS, Judgement, judge
+from .page.figures import FIGURES
 from .plan import Sizes, chosen, sizes_of, stages_of
 from .stages import NUMBERS, Progress, fingerprints, is_finished, record_of, run_stages, with_inputs
 
+MARKS = {"holds": "✔ holds", "partly": "◐ partly", "does not hold": "✘ does not hold", "not judged": "–"}
+PAGE = jinja2.Environment(
+    loader=jinja2.PackageLoader("paper", "page"),
+    undefined=jinja2.StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+).get_template("sections.md")
+"""The prose around tables and figures; every number of it is of the run."""
 VERBS = {"holds": "hold", "partly": "hold partly", "does not hold": "do not", "not judged": "not judged"}
 
 
@@ -71,7 +87,7 @@ def write_results(parts: Path, folder: Path, sizes: Sizes) -> list[Judgement]:
 
     Args:
         parts: Folder of the stages' folders.
-        folder: Where the pages go.
+        folder: For paper.md and img/.
         sizes: Of the run.
     """
     stages, shows = stages_of(sizes)
@@ -80,10 +96,25 @@ def write_results(parts: Path, folder: Path, sizes: Sizes) -> list[Judgement]:
     files = {name: parts / name / NUMBERS for name in done}
     numbers = {name: json.loads(file.read_text("utf-8")) for name, file in files.items() if file.exists()}
     shown = [item for item, names in shows.items() if numbers.keys() >= set(names)]
-    if "fig3" in shown:
-        (folder / "img").mkdir(exist_ok=True)
-        for picture in (parts / "distributions").glob("*.png"):
-            shutil.copy(picture, folder / "img" / f"paper-fig3-{picture.name}")
-    seconds = sum(record_of(parts / name, prints[name])["seconds"] for name in done)
     numbers = {name: numbers[name] for item in shown for name in shows[item]}
-    return write_pages(folder, numbers, shown, sizes, seconds)
+    judged = judge(numbers, judges=sizes["preset"] == "full")
+    with matplotlib.rc_context(STYLE):
+        for item in FIGURES.keys() & shown:
+            save_figure(folder / "img" / f"paper-{item}.png", FIGURES[item](numbers), dpi=130)
+    if "fig3" in shown:
+        for picture in (parts / "distributions").glob("*.png"):
+            (folder / "img").mkdir(exist_ok=True)
+            shutil.copy(picture, folder / "img" / f"paper-fig3-{picture.name}")
+    page = PAGE.render(
+        s=sizes,
+        n=numbers,
+        tables=tables,
+        shown=shown,
+        figures=FIGURES,
+        judged=judged,
+        marks=MARKS,
+        elsewhere=CLAIMS["elsewhere"],
+        minutes=sum(record_of(parts / name, prints[name])["seconds"] for name in done) / 60,
+    )
+    write_whole(folder / "paper.md", re.sub(r"\n{3,}", "\n\n", page).rstrip() + "\n")
+    return judged

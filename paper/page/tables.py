@@ -1,4 +1,4 @@
-"""Tables in Markdown for the gaps of `sections.md`, from the stages' numbers, the paper's own beside ours."""
+"""Tables in Markdown for `sections.md`, from the stages' numbers, the paper's own beside ours."""
 
 from collections.abc import Callable, Iterable, Sequence
 
