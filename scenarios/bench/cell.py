@@ -11,17 +11,14 @@ from pydantic import TypeAdapter
 
 import estimators
 from estimators.control.controller import make_controller
-from estimators.custom import own_sources
 from estimators.metrics import RANGE, flaw_of
-from estimators.registry import is_weights
 from estimators.tuned import load_tuning
 from quadsim.estimator import receives_truth
 from quadsim.flight.mission import Mission
 from quadsim.flight.scenario import Scenario
 from quadsim.flight.world import CAUSES
-from quadsim.runs.fingerprint import content_digest
 
-from .controllers import controller_files, controller_of, estimator_of
+from .controllers import controller_of, estimator_of
 from .flight_log import Flown, fly
 from .flight_metrics import error_histogram, flight_metrics, records
 from .series import FlightSeries, pack_series
@@ -74,21 +71,6 @@ class Cell:
 
 CELL = TypeAdapter(Cell)
 """Writes a cell as JSON, and reads it."""
-
-
-def weights_digest(estimator: str) -> str:
-    """Digest of the weights and the files of the user's that a contender stands for; empty without any."""
-    name = estimator_of(estimator)
-    sources = [name] if is_weights(name) else own_sources(name)
-    return "".join(map(digest_if_there, [*sources, *controller_files(estimator)]))
-
-
-def digest_if_there(path: str | Path) -> str:
-    """Digest of a file that a cell reads; empty where it cannot be read, which is the cell's own error."""
-    try:
-        return content_digest(Path(path).read_bytes())
-    except OSError:
-        return ""
 
 
 def load_cell(path: Path) -> Cell | None:

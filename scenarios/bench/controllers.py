@@ -1,12 +1,9 @@
 """Contenders: an estimator alone, or "ESTIMATOR @ CONTROLLER", which flies another attitude controller."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import estimators
-from estimators.control.controller import CASCADED, GROUP, LOIHI, is_controller
-from estimators.networks.weights_file import END
-from quadsim.own import is_own, own_files
+from estimators.control.controller import CASCADED
 
 MARK = " @ "
 TRUTH = "truth"
@@ -38,12 +35,3 @@ def estimator_of(name: str) -> str:
 def controller_of(name: str) -> str:
     """Its controller."""
     return name.partition(MARK)[2] or CASCADED
-
-
-def controller_files(name: str) -> list[Path]:
-    """The files of the user's that a contender's controller comes from."""
-    controller = controller_of(name)
-    if is_controller(controller):
-        path = Path(controller.removesuffix(LOIHI))
-        return [path] if path.suffix == END else []
-    return own_files(controller, GROUP) if is_own(controller, GROUP) else []

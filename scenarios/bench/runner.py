@@ -1,33 +1,27 @@
 """The closed-loop benchmark: scenarios × estimators × seeds, resumable, the same on any number of workers."""
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
 import estimators
-from estimators.control.controller import create_controller, is_controller, make_controller
+from estimators.control.controller import GROUP, LOIHI, create_controller, is_controller, make_controller
+from estimators.custom import own_sources
+from estimators.networks.weights_file import END
+from estimators.registry import is_weights
 from estimators.tuned import load_tuning
 from quadsim.external import load_external
 from quadsim.flight.scenario import Scenario, changed
 from quadsim.imu.spec import load_imu
-from quadsim.own import own_files
+from quadsim.own import is_own, own_files
 from quadsim.runs.files import alone, write_whole
-from quadsim.runs.fingerprint import ASSETS, ROOT, code_digest, file_digest, fingerprint
+from quadsim.runs.fingerprint import ASSETS, ROOT, code_digest, content_digest, file_digest, fingerprint
 from quadsim.runs.pool import run_all
 from quadsim.vehicle import load_vehicle
 
-from .cell import (
-    CELL,
-    Cell,
-    FlightSettings,
-    digest_if_there,
-    fly_cell,
-    load_cell,
-    tuning_of,
-    weights_digest,
-)
+from .cell import CELL, Cell, FlightSettings, fly_cell, load_cell, tuning_of
 from .controllers import controller_of, estimator_of
 from .experiment import SUITE, Experiment
 from .results import Results, save_results
@@ -38,6 +32,8 @@ Progress = Callable[[int, int], None]
 Changes = Mapping[str, Any]
 """Fields that replace those of every scenario: vehicle, imu, external, engine, duration_s and the others."""
 NO_CHANGES: Changes = {}
+Job = tuple[str, Scenario, str]
+"""Name of a scenario, itself, and a contender."""
 
 
 def bench(
@@ -81,10 +77,11 @@ def bench(
     cases = experiment.cases(scenarios)
     flown = {name: changed(case.scenario, changes) for name, case in cases.items()}
     _check(flown, names, settings)
+    jobs = [(name, scenario, each) for name, scenario in flown.items() for each in names]
+    files = [out / "cells" / f"{each[:32]}.json" for each in _fingerprints(jobs, settings)]
     with alone(out):
         out.mkdir(parents=True, exist_ok=True)
-        jobs = [(name, scenario, each) for name, scenario in flown.items() for each in names]
-        cells = _fly_cells(jobs, out, settings, workers, executor, progress)
+        cells = _fly_cells(jobs, files, settings, workers, executor, progress or (lambda done, total: None))
         levels = {name: case.levels for name, case in cases.items() if case.levels}
         results = Results(flown, names, settings, cells, experiment, levels)
         save_results(out, results)
@@ -92,19 +89,16 @@ def bench(
 
 
 def _fly_cells(
-    jobs: Sequence[tuple[str, Scenario, str]],
-    out: Path,
+    jobs: Sequence[Job],
+    files: Sequence[Path],
     settings: FlightSettings,
     workers: int | None,
     executor: Executor | None,
-    progress: Progress | None,
+    progress: Progress,
 ) -> list[Cell]:
-    """Cells of (name, scenario, contender), read where an earlier run has stored the same ones."""
-    code = flight_code()
-    paths = [out / "cells" / f"{_fingerprint(*job, settings, code)[:32]}.json" for job in jobs]
-    cells = {i: cell for i, path in enumerate(paths) if (cell := load_cell(path))}
+    """Cells, read where an earlier run has stored the same ones."""
+    cells = {i: cell for i, file in enumerate(files) if (cell := load_cell(file))}
     missing = [i for i in range(len(jobs)) if i not in cells]
-    progress = progress or (lambda done, total: None)
     progress(len(cells), len(jobs))
     said: set[tuple[str, str]] = set()
     for i, cell in run_all(fly_cell, {i: (*jobs[i], settings) for i in missing}, workers, executor):
@@ -113,7 +107,7 @@ def _fly_cells(
             cell = Cell(name, estimator, f"{type(cell).__name__}: {cell}")
         cells[i] = cell
         if not cell.reason:
-            write_whole(paths[i], CELL.dump_json(cell))
+            write_whole(files[i], CELL.dump_json(cell))
         elif (cell.estimator, cell.reason) not in said:  # once for all scenarios
             log.warning("%s with %s did not run: %s", cell.scenario, cell.estimator, cell.reason)
             said.add((cell.estimator, cell.reason))
@@ -121,11 +115,16 @@ def _fly_cells(
     return [cells[i] for i in range(len(jobs))]
 
 
-def _files_of(scenario: Scenario) -> list[str | Path]:
-    """What a scenario reads besides presets: set-points, a user's function, wind."""
-    found: list[str | Path] = [
-        part.path for part in (scenario.trajectory, *scenario.wind) if part.kind == "file"
-    ]
+def files_of(scenario: Scenario, contender: str) -> list[str | Path]:
+    """What a cell reads besides presets: weights, a user's code, set-points, wind."""
+    name, controller = estimator_of(contender), controller_of(contender)
+    found: list[str | Path] = [name] if is_weights(name) else [*own_sources(name)]
+    if is_controller(controller):
+        path = controller.removesuffix(LOIHI)
+        found += [path] if path.endswith(END) else []
+    elif is_own(controller, GROUP):
+        found += own_files(controller, GROUP)
+    found += [part.path for part in (scenario.trajectory, *scenario.wind) if part.kind == "file"]
     if scenario.trajectory.kind == "function":
         found += own_files(scenario.trajectory.function)
     return found
@@ -139,11 +138,7 @@ def flight_code() -> str:
 
 
 def _check(scenarios: Mapping[str, Scenario], names: Sequence[str], settings: FlightSettings) -> None:
-    """Check everything that a user may have mistyped before the first flight."""
-    for scenario in scenarios.values():
-        load_vehicle(scenario.vehicle)
-        load_imu(scenario.imu)
-        load_external(scenario.external)
+    """Check what a user may have mistyped and `_fingerprints` does not read."""
     if settings.tuning is not None and not set(map(estimator_of, names)) & set(load_tuning(settings.tuning)):
         raise ValueError(f"{settings.tuning}: it has no table of {', '.join(names)}")
     for name in dict.fromkeys(map(estimator_of, names)):
@@ -157,16 +152,32 @@ def _check(scenarios: Mapping[str, Scenario], names: Sequence[str], settings: Fl
         raise ValueError(f"nothing to fly: give at least one {'estimator' if scenarios else 'scenario'}")
 
 
-def _fingerprint(name: str, scenario: Scenario, estimator: str, settings: FlightSettings, code: str) -> str:
-    tuning = tuning_of(estimator, settings.tuning)
-    content = {
-        "scenario": scenario.model_dump(mode="json"),
-        "vehicle": load_vehicle(scenario.vehicle).model_dump(mode="json"),
-        "imu": load_imu(scenario.imu).model_dump(mode="json"),
-        "external": load_external(scenario.external).model_dump(mode="json"),
-        "files": [digest_if_there(path) for path in _files_of(scenario)],
-        "weights": weights_digest(estimator),
-        "tuning": tuning and load_tuning(tuning)[estimator_of(estimator)].model_dump(),
-        "run": [name, estimator, settings.seeds, settings.seed, settings.rate_hz, code],
-    }
-    return fingerprint(content)
+def _fingerprints(jobs: Sequence[Job], settings: FlightSettings) -> Iterator[str]:
+    """Of each cell.
+
+    Raises:
+        ValueError: A scenario's vehicle, IMU or external sensor cannot be read.
+    """
+    code = flight_code()
+    for name, scenario, contender in jobs:
+        tuning = tuning_of(contender, settings.tuning)
+        specs = (
+            scenario,
+            load_vehicle(scenario.vehicle),
+            load_imu(scenario.imu),
+            load_external(scenario.external),
+        )
+        yield fingerprint(
+            [each.model_dump(mode="json") for each in specs],
+            [_digest_if_there(path) for path in files_of(scenario, contender)],
+            tuning and load_tuning(tuning)[estimator_of(contender)].model_dump(),
+            [name, contender, settings.seeds, settings.seed, settings.rate_hz, code],
+        )
+
+
+def _digest_if_there(path: str | Path) -> str:
+    """Digest of a file that a cell reads; empty where it cannot be read, which is the cell's own error."""
+    try:
+        return content_digest(Path(path).read_bytes())
+    except OSError:
+        return ""
