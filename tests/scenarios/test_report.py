@@ -166,9 +166,6 @@ def test_headings_sort_both_ways_with_empty_cells_last(page):
         assert numbers == sorted(numbers, reverse=descending)
         assert "did not run" in column(page, 3)[-1]
     assert page.locator("#results th").nth(2).get_attribute("aria-sort") == "descending"
-
-
-def test_table_shows_one_scenario(page):
     page.select_option("#table-scenario", "storm")
     assert page.locator("#results tbody tr:visible td:first-child").all_inner_texts() == ["storm"] * 4
 
