@@ -30,25 +30,22 @@ def test_level_is_the_size_of_the_disturbance_and_the_only_one(name):
 
 
 def test_a_breaking_point_is_the_least_level_with_a_crash():
-    wind = BREAKING.model_copy(update={"sweeps": {"constant wind": BREAKING.sweeps["constant wind"]}})
-    cases = wind.cases()
+    two = {name: BREAKING.sweeps[name] for name in ("constant wind", "late samples")}
+    both = BREAKING.model_copy(update={"sweeps": two})
+    cases, winds = both.cases(), len(two["constant wind"].levels)
     levels = {name: case.levels for name, case in cases.items()}
     assert levels["constant wind=8"] == {"constant wind": "8 m/s"}
+    late = [[1.0, 1.0]] * (len(cases) - winds)
     outcomes = {
-        "strong": [1.0] * len(cases),
-        "brittle": [1.0, 1.0, crash(5.0), 1.0, *[crash(2.0)] * (len(cases) - 4)],
-        "absent": ["no idea"] * len(cases),
+        "strong": [[1.0, 1.0]] * winds + late,
+        "brittle": [[1.0, crash(5.0) if k == 2 or k > 3 else 1.0] for k in range(winds)] + late,
+        "absent": ["no idea"] * winds + late,
     }
-    flown = {
-        name: {
-            case: each if isinstance(each, str) else [1.0, each]
-            for case, each in zip(cases, own, strict=True)
-        }
-        for name, own in outcomes.items()
-    }
-    results = benchmark(flown, experiment=wind, levels=levels)
+    flown = {name: dict(zip(cases, own, strict=True)) for name, own in outcomes.items()}
+    results = benchmark(flown, experiment=both, levels=levels)
     found = [results.breaking_point("constant wind", name) for name in outcomes]
     assert found == ["> 36 m/s", "12 m/s", "did not run"]
+    assert {results.breaking_point("late samples", name) for name in outcomes} == {"> 0.2 s"}
     assert breaking_table(results).row_count == 3
 
 

@@ -58,6 +58,7 @@ def test_a_designed_benchmark_flies_loads_and_has_its_levels_in_the_table(tmp_pa
     failed = {(cell.scenario, cell.estimator) for cell in results.cells if cell.reason}
     assert failed == {(name, "ekf-drag") for name in unknown}
     assert results.by_level["drag", "not known", "ekf-drag"].reason.startswith("ekf-drag needs a vehicle")
+    assert not any(row.reason for row in results.by_level.values() if row.flights)
     assert load_results(tmp_path) == results
     table = pd.read_parquet(tmp_path / "flights.parquet")
     assert set(table["base scenario"]) == {"hover"}

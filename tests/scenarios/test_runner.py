@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from flown import table
+from flown import crash, table
 from processes import square
 from rich.console import Console
 
@@ -138,11 +138,13 @@ def test_wilson_interval_of_textbook_values():
     np.testing.assert_allclose(found, [[0.0, 0.2366, 0.7225, 0.0], [0.2775, 0.7634, 1.0, 1.0]], atol=1e-4)
 
 
-def test_median_convergence_is_empty_when_most_never_converge():
-    outcomes = {"most": [1.0, 1.0, None], "few": [1.0, None, None]}
-    flights = table(*((name, "x", k, 0.5) for name in outcomes for k in range(3)))
-    flights["converge_s"] = np.array([*outcomes["most"], *outcomes["few"]], float)
-    np.testing.assert_array_equal(summarise(flights)["converge_s"], [1.0, np.nan])
+def test_median_convergence_is_empty_when_most_never_converge_and_a_crash_counts_to_the_tilt():
+    flights = table(*((name, "x", k, crash(1.0) if k == 2 else 0.5) for name in "ab" for k in range(3)))
+    flights["converge_s"] = [1.0, 1.0, np.nan, 1.0, np.nan, np.nan]
+    flights["worst_tilt_deg"] = [10.0, 20.0, 80.0, 30.0, np.nan, np.nan]
+    found = summarise(flights)
+    np.testing.assert_array_equal(found["converge_s"], [1.0, np.nan])
+    np.testing.assert_array_equal(found["worst_tilt_deg"], [80.0, 30.0])
 
 
 # --- a flight -------------------------------------------------------------------------------------

@@ -33,12 +33,14 @@ def test_survival_ranks_first_then_the_time_to_the_crash_then_the_error():
     assert order(results) == ["better", "never", "late", "early", "always"]
 
 
-def test_errors_are_compared_on_flights_that_all_compared_survived():
+def test_errors_are_means_over_scenarios_of_flights_that_all_compared_survived():
     flown = {"x": [crash(5.0), 1.0, 3.0], "y": [0.1, crash(5.0), 2.0]}
-    flights = table(*(("a", name, k, each) for name, own in flown.items() for k, each in enumerate(own)))
-    places = {place.name: place for place in ranked(flights, [("a", k) for k in range(3)], "error_deg")}
-    assert [places[name].error for name in "xy"] == [3.0, 2.0]  # seed 2 alone
-    assert [places[name].survived for name in "xy"] == [2, 2]
+    flights = [("a", name, k, each) for name, own in flown.items() for k, each in enumerate(own)]
+    flights += [("b", name, k, 5.0) for name in flown for k in range(3)]
+    planned = [(scenario, seed) for scenario in "ab" for seed in range(3)]
+    places = {place.name: place for place in ranked(table(*flights), planned, "error_deg")}
+    assert [places[name].error for name in "xy"] == [4.0, 3.5]  # of a seed 2 alone
+    assert [places[name].survived for name in "xy"] == [5, 5]
 
 
 def test_a_flight_that_did_not_run_counts_as_lost():
