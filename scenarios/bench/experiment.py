@@ -106,12 +106,12 @@ class Experiment(Strict):
             found[name] = Case(load_scenario(source), {})
         return found
 
-    def _design(self, scenarios: Sequence[str | Path], seed: int = 0) -> "dict[str, Case]":
+    def _design(self, scenarios: Sequence[str | Path]) -> "dict[str, Case]":
         axes = {axis: list(levels) for axis, levels in self.axes.items()} | {"scenario": list(scenarios)}
         counts = np.array([len(levels) for levels in axes.values()])
         if self.combinations < counts.max():
             raise ValueError(f"combinations = {self.combinations}: an axis has {counts.max()} levels")
-        sampler = qmc.LatinHypercube(len(axes), optimization="random-cd", rng=np.random.default_rng(seed))
+        sampler = qmc.LatinHypercube(len(axes), optimization="random-cd", rng=np.random.default_rng(0))
         places = np.floor(sampler.random(self.combinations) * counts).astype(int).tolist()
         width, found = len(str(self.combinations - 1)), {}
         for number, place in enumerate(places):

@@ -18,7 +18,6 @@ from .contenders import Contenders
 from .page import OfflineSection, write_report
 from .terminal import rows_table
 
-NONE: Mapping[str, Path] = {}
 FIGURES = {
     "violins": figures.violins,
     "convergence": figures.settling,
@@ -70,11 +69,11 @@ def evaluate_dataset(data: Path, contenders: Contenders, out: Path, *, seed: int
 
 
 def recorded_section(
-    rows: Sequence[Any], caption: str, pictures: Mapping[str, Path] = NONE
+    rows: Sequence[Any], caption: str, pictures: Mapping[str, Path] | None = None
 ) -> OfflineSection:
     """The section of a report."""
     found = headline(rows)
-    return OfflineSection(columns(rows), caption, pictures, f"On recorded flights {found}.")
+    return OfflineSection(columns(rows), caption, pictures or {}, f"On recorded flights {found}.")
 
 
 def headline(rows: Sequence[Any]) -> str:

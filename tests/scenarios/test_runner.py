@@ -1,7 +1,6 @@
 import csv
 import json
 from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
-from dataclasses import fields
 from importlib.resources import files
 from io import StringIO
 from pathlib import Path
@@ -38,25 +37,20 @@ from scenarios.single_flight import fly_scenario
 
 SHORT = 0.3
 HUMMINGBIRD = load_vehicle("hummingbird")
-TOO_TILTED = (
-    'description = "tilted beyond its own limit"\n[start]\ntilt_deg = 40.0\n[crash]\ntilt_deg = 30.0\n'
-)
-
-
-@pytest.fixture
-def crashing(tmp_path):
-    path = tmp_path / "crashing.toml"
-    path.write_text(TOO_TILTED)
-    return path
 
 
 def small(out, scenarios=("hover", "wind-gust"), names=("truth", "mahony"), **options):
-    options = {"seeds": 2, "duration_s": SHORT, "workers": 1} | options
-    settings = FlightSettings(
-        **{each.name: options.pop(each.name) for each in fields(FlightSettings) if each.name in options}
+    """A benchmark; options are of `bench`, of its settings, or fields of every scenario."""
+    run = {"workers": 1} | {key: options.pop(key) for key in ("workers", "executor") if key in options}
+    of_flights = {key: options.pop(key) for key in ("seeds", "seed", "tuning") if key in options}
+    return bench(
+        scenarios,
+        names,
+        out,
+        FlightSettings(**{"seeds": 2} | of_flights),
+        {"duration_s": SHORT} | options,
+        **run,
     )
-    run = {name: options.pop(name) for name in ("workers", "executor") if name in options}
-    return bench(scenarios, names, out, settings, options, **run)
 
 
 # --- metrics --------------------------------------------------------------------------------------
@@ -289,7 +283,9 @@ def test_dead_worker_is_a_row_with_its_reason(tmp_path):
     assert [row.reason for row in rows] == ["MemoryError: killed", ""] * 2
 
 
-def test_the_standings_have_ranks_means_and_the_worst_scenario(tmp_path, crashing):
+def test_the_standings_have_ranks_means_and_the_worst_scenario(tmp_path):
+    crashing = tmp_path / "crashing.toml"
+    crashing.write_text("description = ''\n[start]\ntilt_deg = 40.0\n[crash]\ntilt_deg = 30.0\n")
     many = small(tmp_path / "many", scenarios=["hover", "wind-2", crashing])
     crashed = many.flights[many.flights["scenario"] == "crashing"]
     assert {*zip(crashed["cause"], crashed["flown_s"], strict=True)} == {("tilted over", 0.0)}
