@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from pydantic import TypeAdapter
 
 import estimators
@@ -20,7 +19,7 @@ from quadsim.flight.world import CAUSES
 
 from .controllers import controller_of, estimator_of
 from .flight_log import Flown, fly
-from .flight_metrics import error_histogram, flight_metrics, records
+from .flight_metrics import error_histogram, flight_metrics
 from .series import FlightSeries, pack_series
 
 BOUNDLESS = 1e100
@@ -132,13 +131,15 @@ def make_cell(name: str, estimator: str, mission: Mission, flown: Flown) -> Cell
     if not (np.abs(log[before].view(np.float64)) < BOUNDLESS).all():
         raise ValueError("the flight diverged; is a number of the scenario too large?")
     metrics = flight_metrics(log, end, mission.rate_hz, mission.vehicle)
-    causes = [CAUSES[cause] for cause in mission.cause]
-    flown_s = end / mission.rate_hz
-    flights = pd.DataFrame({"seed": range(mission.n), "cause": causes, "flown_s": flown_s, **metrics})
+    flights = [
+        {"seed": i, "cause": CAUSES[mission.cause[i]], "flown_s": float(end[i] / mission.rate_hz)}
+        | {key: None if np.isnan(values[i]) else float(values[i]) for key, values in metrics.items()}
+        for i in range(mission.n)
+    ]
     return Cell(
         name,
         estimator,
-        flights=[row._asdict() for row in records(flights)],
+        flights=flights,
         histogram=error_histogram(log, end).tolist(),
         series=pack_series(log[0, : max(end[0], 1)], mission.rate_hz, flown.signals),
         receives_truth=receives_truth(mission.estimator),

@@ -1,16 +1,13 @@
-"""Metrics of flights from their logs, and one row for several flights.
+"""Metrics of flights from their logs.
 
 `log` is (n, T) of `flight_log.log_dtype`, `end` (n,) the samples before each crash; later ones do not count.
 """
 
 import warnings
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import pandas as pd
-from numpy.typing import ArrayLike, NDArray
-from scipy.special import ndtri
+from numpy.typing import NDArray
 
 from estimators.metrics import absolute_error, attitude_error, inclination_error
 from quadsim.vehicle import Vehicle
@@ -18,8 +15,6 @@ from quadsim.vehicle import Vehicle
 from .flight_log import Log
 
 Array = NDArray[np.float64]
-Z = float(ndtri(0.975))
-"""Half the width of a normal distribution's 95 % interval [standard deviations]."""
 
 CONVERGED_DEG = 5.0
 """Inclination error below which an estimate counts as converged [deg],"""
@@ -71,8 +66,6 @@ METRICS = tuple(Metric(*row) for row in (
 ))  # fmt: skip
 MEASURED = [metric for metric in METRICS if metric.key != "crash_rate"]
 """Metrics of a single flight."""
-FIGURES = {"worst_tilt_deg": "max", "converge_s": "median", "recover_s": "median"}
-"""What counts of all flights; of the other metrics it is the mean over flights without a crash."""
 KEYS = ["scenario", "estimator"]
 FLIGHT = ["seed", "cause", "flown_s", *(metric.key for metric in MEASURED)]
 """Columns of a flight: its number, why it crashed (empty if it did not), its length, its metrics."""
@@ -129,41 +122,6 @@ def error_histogram(log: Log, end: NDArray[np.int64]) -> NDArray[np.int64]:
     errors = absolute_error(log["estimate"], log["euler"][..., :2])[before]
     decades = np.log10(np.maximum(errors, 1e-12)).clip(*ERROR_DECADES)
     return np.histogram(decades, bins=ERROR_BINS, range=ERROR_DECADES)[0]
-
-
-def wilson(hits: ArrayLike, trials: ArrayLike) -> tuple[Array, Array]:
-    """Ends of the 95 % Wilson score interval of shares (Wilson 1927); 0 and 1 without a trial."""
-    hits, trials = np.asarray(hits, np.float64), np.asarray(trials, np.float64)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        share, square = hits / trials, Z * Z / trials
-        middle = (share + square / 2) / (1 + square)
-        half = Z * np.sqrt(share * (1 - share) / trials + square / (4 * trials)) / (1 + square)
-    return np.where(hits > 0, middle - half, 0.0), np.where(hits < trials, middle + half, 1.0)
-
-
-def summarise(flights: pd.DataFrame) -> pd.DataFrame:
-    """Crashes and metrics of the flights of each scenario with each estimator; NaN where none has a value.
-
-    Args:
-        flights: A row for each flight, with the columns `KEYS` and `FLIGHT`.
-    """
-    every: Any = flights.assign(crashed=flights["cause"] != "").groupby(KEYS, sort=False)
-    table = every["crashed"].agg(flights="size", crashes="sum")
-    table["crash_rate"] = table["crashes"] / table["flights"]
-    table["crash_low"], table["crash_high"] = wilson(table["crashes"], table["flights"])
-    never = flights.fillna({"converge_s": np.inf, "recover_s": np.inf})
-    counted = {"mean": flights.query("cause == ''"), "max": flights, "median": never}
-    for metric in MEASURED:
-        figure = FIGURES.get(metric.key, "mean")
-        own: Any = counted[figure].groupby(KEYS, sort=False)[metric.key]
-        table[metric.key] = own.agg(figure).replace(np.inf, np.nan)
-    return table.astype({"flights": "Int64", "crashes": "Int64"})
-
-
-def records(table: pd.DataFrame) -> list[Any]:
-    """The rows of a table with its columns as attributes; None where a value is missing."""
-    known: Any = table.astype(object).where(table.notna(), None)
-    return list(known.itertuples(index=False))
 
 
 def _rms(values: Array) -> Array:

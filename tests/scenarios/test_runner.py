@@ -26,10 +26,8 @@ from scenarios.bench.flight_metrics import (
     error_histogram,
     flight_metrics,
     recovery_time,
-    summarise,
-    wilson,
 )
-from scenarios.bench.results import hours, load_results
+from scenarios.bench.results import hours, load_results, summarise, wilson
 from scenarios.bench.runner import bench
 from scenarios.bench.verdict import choice, verdict
 from scenarios.report.terminal import standings_table
