@@ -27,8 +27,7 @@ from quadsim.flight.scenario import Scenario
 from quadsim.held_out import HeldOut
 from quadsim.imu.spec import ImuSpec
 from quadsim.vehicle import Vehicle
-from training.circuit.config import CircuitTraining
-from training.config import TrainingRecipe
+from training.config import CircuitTraining, TrainingRecipe
 
 ROOT = Path(__file__).parents[1]
 KINDS: dict[str, tuple[type[BaseModel], str]] = {

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import ValidationError, model_validator
 
+from estimators.circuit.file import load_circuit
 from estimators.loihi.layers import WEIGHT_EXP_MIN
 from estimators.networks.weights_file import (
     PAPER_SCALING,
@@ -16,7 +18,7 @@ from estimators.networks.weights_file import (
     SetPointScaling,
 )
 from quadsim.config.ranges import Between, Share
-from quadsim.config.toml import Strict, describe, load_toml, merged
+from quadsim.config.toml import Strict, describe, load_toml, merged, preset_names, shipped_folder
 from quadsim.held_out import unreserved
 
 from .augment import Augmentation
@@ -24,8 +26,9 @@ from .augment import Augmentation
 Number = Annotated[int, Between(1, 1_000_000)]
 Window = Annotated[float, Between(0.01, 3600.0, "s")]
 Scale = Annotated[float, Between(1e-3, 1e4, "rad/s²")]
-CONTROL: Outputs = "angular-acceleration"
-"""Outputs of a controller."""
+SNN = "att-snn"
+EPOCH_UPDATES = 500
+"""Updates in an epoch of a circuit."""
 
 
 class Optimisation(NamedTuple):
@@ -130,17 +133,78 @@ class TrainingRecipe(Strict):
         return OPTIMISATIONS[self.optimisation]
 
 
-class TrainConfig(TrainingRecipe):
-    """A training run: a recipe, the network, its data and its seed."""
+class CircuitTraining(Strict):
+    """How a circuit is trained; the recipe that ships is `assets/presets/att-snn.toml`."""
 
-    model: Literal["att-snn", "att-rnn"] = "att-snn"
-    """Spiking network, or its non-spiking twin."""
+    vectors: Annotated[int, Between(4, 64)] = 6
+    """Vectors that turn."""
+    gates: Annotated[int, Between(8, 256)] = 16
+    """Gated innovations."""
+    streams: Number = 1536
+    """Streams that are drawn once, each with sensor errors of its own."""
+    window_s: Annotated[float, Between(0.1, 600.0, "s")] = 40.0
+    """Length of a stream, over which the gradient is exact [s]."""
+    hand_share: Share = 0.4
+    """Share of the streams that move in the hand, where there are both."""
+    sway_share: Share = 0.7
+    """Share of the streams in the hand to which translation is added."""
+    calibrated_share: Share = 0.5
+    """Share of the streams whose biases, scales and mounting are a tenth of those of the augmentation."""
+    known_share: Share = 0.35
+    """Share of the streams that begin with attitude and bias known, as the later parts of a flight do."""
+    updates: Number = 6500
+    """Updates of the weights."""
+    batch_size: Annotated[int, Between(1, 1024)] = 16
+    """Streams in an update."""
+    learning_rate: Annotated[float, Between(1e-6, 1.0)] = 0.02
+    """Of Adam, at its highest."""
+    augmentation: Augmentation = Augmentation()
+    """Sensor errors."""
+    init: str = ""
+    """Circuit to continue from, in place of the equation: a file or a shipped name; it has the vectors and
+    the gates."""
+
+
+class Run(Strict):
+    """What every training run has beside its recipe."""
+
     data: tuple[str, ...] = ()
     """Datasets to train on; a controller has none."""
     validation: tuple[str, ...] = ()
-    """Datasets to choose the best epoch by; none: a part of `data`, 70/20/10 by flight."""
+    """Datasets to choose the best epoch by; none: a part of `data`, 70/20/10 by flight. Of a circuit: to
+    report the error on; they choose nothing."""
     seed: Annotated[int, Between(0, 2**63 - 1)] = 0
-    """Of the initial weights, the split, the windows and the sensor errors."""
+    """Of all that is random: initial weights, split, windows or streams, sensor errors."""
+
+    @property
+    def controls(self) -> bool:
+        """Whether the network is a controller."""
+        return False
+
+    @model_validator(mode="after")
+    def _has_data(self) -> Run:
+        unreserved(self.seed)
+        if not (self.data or self.controls):
+            raise ValueError(
+                "data: at least one dataset to train on is required, as quadsim generate makes it"
+            )
+        return self
+
+
+class CircuitRun(CircuitTraining, Run):
+    """A training run of a circuit."""
+
+    @property
+    def epochs(self) -> int:
+        """Epochs of `EPOCH_UPDATES` updates; the last one may have fewer."""
+        return -(-self.updates // EPOCH_UPDATES)
+
+
+class TrainConfig(TrainingRecipe, Run):
+    """A training run of a network of layers."""
+
+    model: Literal["att-snn", "att-rnn"] = SNN
+    """Spiking network, or its non-spiking twin."""
     threads: Annotated[int, Between(1, 1024)] = 1
     """Threads that share a batch; the result depends on their number in the last digits only."""
     preset: str = "paper"
@@ -149,24 +213,18 @@ class TrainConfig(TrainingRecipe):
     @property
     def controls(self) -> bool:
         """Whether the network is a controller."""
-        return self.outputs == CONTROL
+        return self.outputs == "angular-acceleration"
 
     @model_validator(mode="after")
     def _fits(self) -> TrainConfig:
-        unreserved(self.seed)
-        layers = f"layers of {self.encoding} and {self.hidden}"
         if self.model == "att-rnn" and self.encoding != self.hidden:
-            raise ValueError(f"att-rnn: {layers} units, should be equal")
-        if self.controls:
-            self._fits_control()
-        elif not self.data:
-            raise ValueError(
-                "data: at least one dataset to train on is required, as quadsim generate makes it"
-            )
-        return self
-
-    def _fits_control(self) -> None:
-        if self.data or self.validation or self.model != "att-snn":
+            raise ValueError(f"att-rnn: layers of {self.encoding} and {self.hidden} units, should be equal")
+        paths = [Path(path).resolve() for path in (*self.data, *self.validation)]
+        if len(set(paths)) < len(paths):
+            raise ValueError("data and validation: a dataset is given twice, its flights would count twice")
+        if not self.controls:
+            return self
+        if paths or self.model != SNN:
             raise ValueError(
                 "a controller is an att-snn that flies itself: leave out data, validation and model"
             )
@@ -178,6 +236,7 @@ class TrainConfig(TrainingRecipe):
             )
         if self.window_s > self.control.flight_s:
             raise ValueError(f"window_s: {self.window_s:g}, should be at most control.flight_s")
+        return self
 
     def steps(self, rate_hz: float) -> int:
         """Samples of a window."""
@@ -188,26 +247,45 @@ class TrainConfig(TrainingRecipe):
         return epoch * (self.control.rounds + 1) // self.epochs
 
 
-def make_config(preset: str | Path = "paper", **choices: Any) -> TrainConfig:
+def is_of_circuit(preset: str | Path) -> bool:
+    """Whether a preset, one that ships or a TOML file, has keys that only circuits have."""
+    shipped = str(preset) in preset_names("presets")
+    file = shipped_folder("presets") / f"{preset}.toml" if shipped else Path(preset)
+    try:
+        keys = tomllib.loads(file.read_text("utf-8")).keys()
+    except (OSError, ValueError):
+        return False
+    return not keys.isdisjoint(CircuitTraining.model_fields.keys() - TrainingRecipe.model_fields.keys())
+
+
+def make_config(preset: str | Path = "paper", **choices: Any) -> TrainConfig | CircuitRun:
     """A configuration from a preset and what differs from it.
 
     Args:
         preset: Name of a shipped preset, or a TOML file.
-        choices: Fields of `TrainConfig`; of a table, only the keys that are given change.
+        choices: Fields of `TrainConfig` or `CircuitRun`; of a table, only the keys that are given change.
 
     Raises:
         ValueError: One line: an unknown preset or field, or a value out of range.
     """
-    values = load_toml(preset, "presets", TrainingRecipe).model_dump(exclude_unset=True)
     for name in {"data", "validation"} & choices.keys():
         paths = choices[name]
         choices[name] = (str(paths),) if isinstance(paths, str | Path) else tuple(map(str, paths))
+    if is_of_circuit(preset):
+        recipe, kind = CircuitTraining, CircuitRun
+        layered = {"model": choices.pop("model", SNN) != SNN, "epochs": "epochs" in choices}
+        if wrong := [name for name, given in layered.items() if given]:
+            raise ValueError(
+                f"--{wrong[0]} is not for the circuit of {preset}: leave it out, or give --preset paper"
+            )
+    else:
+        recipe, kind = TrainingRecipe, TrainConfig
+        choices["preset"] = str(preset)
     try:
-        changed = merged(merged(TrainingRecipe().model_dump(), values), choices)
-        config = TrainConfig.model_validate(changed | {"preset": str(preset)})
+        run = kind.model_validate(merged(load_toml(preset, "presets", recipe).model_dump(), choices))
     except ValidationError as error:
-        raise ValueError(f"training: {describe(error, TrainConfig)}") from error
-    paths = [Path(path).resolve() for path in (*config.data, *config.validation)]
-    if len(set(paths)) < len(paths):
-        raise ValueError("data and validation: a dataset is given twice, its flights would count twice")
-    return config
+        raise ValueError(f"training: {describe(error, kind)}") from error
+    if isinstance(run, CircuitRun) and run.init:
+        continued = load_circuit(run.init).config
+        run = run.model_copy(update={"vectors": continued.vectors, "gates": continued.gates})
+    return run

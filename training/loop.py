@@ -1,8 +1,8 @@
-"""The training loop: epochs of windows, validation, checkpoints.
+"""The training loop: epochs of updates, validation, checkpoints.
 
-A run's folder holds `config.json`, `log.csv` (a row per epoch), `checkpoint.pt`, `best.safetensors`,
-`curve.png` and, of a controller, the flights of each round. A run that was stopped continues from its
-checkpoint and ends with the same weights.
+A run's folder holds `config.json`, `contents.json` (digests of what it reads), `log.csv` (a row per epoch),
+`checkpoint.pt`, `best.safetensors`, `curve.png` and, of a controller, the flights of each round. A run that
+was stopped continues from its checkpoint and ends with the same weights.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ import logging
 import math
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import torch
@@ -25,11 +25,14 @@ from estimators.networks.weights_file import NetworkConfig, Tensors, save_networ
 from quadsim.runs.files import alone, write_csv, write_whole
 from quadsim.runs.record import commit
 
-from .config import TrainConfig, make_config
+from .config import CircuitRun, TrainConfig, make_config
 from .data import AttitudeTask, Batch, network_inputs
 from .models import AttRNN, AttSNN
 from .optim import error_loss, finished, learning_rate, new_optimiser, total_cost
-from .run_folder import Epoch, claim, contents_of, plot
+from .run_folder import Epoch, claim, plot
+
+if TYPE_CHECKING:
+    from .circuit.train import CircuitLearner
 
 log = logging.getLogger(__name__)
 
@@ -38,13 +41,14 @@ DIVERGED = "training diverged"
 INTERRUPTED = "interrupted"
 """Reason of a run that Ctrl-C ended; the same command continues it."""
 
-Progress = Callable[[Epoch, TrainConfig], None]
+Config = TrainConfig | CircuitRun
+Progress = Callable[[Epoch, Config], None]
 Student = Callable[[], tuple[NetworkConfig, Tensors]]
 """The network so far."""
 
 
 class Task(Protocol):
-    """What a network learns: flights, inputs and targets, and how it is judged."""
+    """What a network of layers learns: flights, inputs and targets, and how it is judged."""
 
     rate_hz: float
     """Samples per second."""
@@ -72,18 +76,22 @@ class Task(Protocol):
         ...
 
 
-def task_of(config: TrainConfig, out: Path) -> Task:
-    """The task of a run in a folder.
+def learner_of(config: Config, out: Path) -> Training | CircuitLearner:
+    """What the run in a folder trains.
 
     Raises:
         ValueError: A dataset that cannot be used.
         FileNotFoundError: A dataset is not there.
     """
+    if isinstance(config, CircuitRun):
+        from .circuit.train import CircuitLearner
+
+        return CircuitLearner(config)
     if not config.controls:
-        return AttitudeTask(config)
+        return Training(config, AttitudeTask(config))
     from .control.task import ControlTask  # needs the simulator, which takes a second
 
-    return ControlTask(config, out)
+    return Training(config, ControlTask(config, out))
 
 
 @dataclass(frozen=True)
@@ -108,12 +116,12 @@ def train(
     """Train a network, or continue a run that was stopped.
 
     Args:
-        model: "att-snn" or "att-rnn".
+        model: "att-snn" or "att-rnn"; a circuit is both.
         data: One dataset or several; none for a controller.
         out: Folder of the run.
         preset: Name of a shipped preset, or a TOML file.
         progress: Called after every epoch.
-        choices: Fields of `TrainConfig` that differ from the preset.
+        choices: Fields of `TrainConfig` or `CircuitRun` that differ from the preset.
 
     Raises:
         ValueError: A bad choice or dataset, or another run's folder.
@@ -122,38 +130,71 @@ def train(
     return run(make_config(preset, model=model, data=data, **choices), Path(out), progress)
 
 
-def run(config: TrainConfig, out: Path, progress: Progress | None = None) -> Result:
+def run(config: Config, out: Path, progress: Progress | None = None) -> Result:
     """As `train`, from a complete configuration."""
     with alone(out):
-        task = task_of(config, out)
-        claim(out, config, contents_of(config, task.contents()))
+        learner = learner_of(config, out)
+        claim(out, config, learner.contents())
         threads = torch.get_num_threads()
-        torch.set_num_threads(config.threads)  # the result must not depend on the machine's number of cores
+        # the result must not depend on the machine's number of cores
+        torch.set_num_threads(config.threads if isinstance(config, TrainConfig) else 1)
         try:
-            training = Training(config, task)
-            if (out / "checkpoint.pt").is_file():
-                training.restore(out)
-            reason = _all_epochs(training, out, progress)
+            learner.begin()
+            history = _restored(learner, out)
+            reason = _all_epochs(config, learner, history, out, progress)
         finally:
             torch.set_num_threads(threads)
-        if not training.history:
+        if not history:
             raise ValueError(f"{out}: stopped before the first epoch was over ({reason}), nothing to save")
-        plot(out, training.history)
-        return Result(out / "best.safetensors", min(training.history, key=Epoch.rank), reason)
+        plot(out, history)
+        return Result(out / "best.safetensors", _best(config, history), reason)
 
 
-def _all_epochs(training: Training, out: Path, progress: Progress | None) -> str:
+def _restored(learner: Training | CircuitLearner, out: Path) -> list[Epoch]:
+    """Continue from a folder's checkpoint, if there is one; the epochs so far.
+
+    Raises:
+        ValueError: One of another version.
+    """
+    if not (out / "checkpoint.pt").is_file():
+        return []
+    try:
+        state = torch.load(out / "checkpoint.pt", weights_only=True)
+        learner.load_state_dict(state)
+        return [Epoch(**row) for row in state["history"]]
+    except (RuntimeError, KeyError, TypeError) as error:
+        text = "its checkpoint is of another version of quadsim, choose another folder"
+        raise ValueError(f"{out}: {text}") from error
+
+
+def _best(config: Config, history: list[Epoch]) -> Epoch:
+    """The epoch whose weights are kept: of a circuit the last."""
+    return history[-1] if isinstance(config, CircuitRun) else min(history, key=Epoch.rank)
+
+
+def _all_epochs(
+    config: Config,
+    learner: Training | CircuitLearner,
+    history: list[Epoch],
+    out: Path,
+    progress: Progress | None,
+) -> str:
     """Train, validate and save until something ends the run; the reason."""
-    config, history = training.config, training.history
+    stops = isinstance(config, TrainConfig) and config.method.stop_early
     try:
         while len(history) < config.epochs:
-            if config.method.stop_early and (reason := finished([e.score for e in history])):
+            if stops and (reason := finished([e.score for e in history])):
                 return reason
-            epoch = training.one_epoch()
+            began, before = time.monotonic(), history[-1].seconds if history else 0.0
+            epoch = learner.one_epoch(len(history))
+            epoch = replace(epoch, seconds=before + time.monotonic() - began)
             history.append(epoch)
-            if epoch.rank() <= min(map(Epoch.rank, history)):
-                training.save_best(out, epoch)
-            training.save_checkpoint(out)
+            if _best(config, history) is epoch:
+                _save_best(config, learner, epoch, out)
+            # by way of memory: PyTorch reports a full disk as a failed writer
+            state = learner.state_dict() | {"history": list(map(asdict, history))}
+            torch.save(state, buffer := io.BytesIO())
+            write_whole(out / "checkpoint.pt", buffer.getvalue())
             write_csv(out / "log.csv", [each.row() for each in history])
             if progress:
                 progress(epoch, config)
@@ -165,6 +206,13 @@ def _all_epochs(training: Training, out: Path, progress: Progress | None) -> str
     return f"all {config.epochs} epochs done"
 
 
+def _save_best(config: Config, learner: Training | CircuitLearner, epoch: Epoch, out: Path) -> None:
+    figures = {f"validation_{name}": round(value, 6) for name, value in epoch.validation.items()}
+    progress = {"epoch": epoch.epoch + 1, "updates": epoch.updates}
+    about = {"config": json.loads(config.model_dump_json()), "commit": commit()}
+    learner.save(out / "best.safetensors", about | progress | figures)
+
+
 def exported(model: AttSNN | AttRNN, rate_hz: float, note: dict[str, Any]) -> tuple[NetworkConfig, Tensors]:
     """The network as it is run: its configuration and tensors for `save_network`."""
     fields = {"rate_hz": rate_hz, "output_scale": model.output_scale, "training": note}
@@ -172,25 +220,27 @@ def exported(model: AttSNN | AttRNN, rate_hz: float, note: dict[str, Any]) -> tu
 
 
 class Training:
-    """A run in memory: the model, its optimiser and the epochs so far, which a checkpoint saves."""
+    """A network of layers that learns a task, and its optimiser."""
 
     def __init__(self, config: TrainConfig, task: Task) -> None:
-        self.config, self.task = config, task
-        torch.manual_seed(config.seed)
-        self.model = task.initial_model()
-        self.optimiser = new_optimiser(self.model, config)
-        self.history: list[Epoch] = []
+        self.config, self.task, self.contents = config, task, task.contents
         self._input_state = np.zeros(config.batch_size, ENCODER)
         self._scale = torch.tensor(task.scale)
+
+    def begin(self) -> None:
+        """Make the network before the first update, and the optimiser."""
+        torch.manual_seed(self.config.seed)
+        self.model = self.task.initial_model()
+        self.optimiser = new_optimiser(self.model, self.config)
 
     def exported(self, note: dict[str, Any] | None = None) -> tuple[NetworkConfig, Tensors]:
         """The slow weights as an estimator, or a controller, runs them."""
         with self.optimiser.evaluated():
             return exported(self.model, self.task.rate_hz, note or {})
 
-    def one_epoch(self) -> Epoch:
-        """Train for an epoch and validate the slow weights."""
-        began, config, number = time.monotonic(), self.config, len(self.history)
+    def one_epoch(self, number: int) -> Epoch:
+        """Train for an epoch, counted from 0, and validate the slow weights."""
+        config = self.config
         first = number * config.batches
         losses, rates = np.zeros(config.batches), np.zeros((config.batches, 2))
         for k, batch in enumerate(self.task.windows(number, self.exported)):
@@ -205,11 +255,9 @@ class Training:
             epoch=number,
             updates=first + config.batches,
             train_loss=float(np.mean(losses)),
-            rate_encoding=float(np.mean(rates[:, 0])),
-            rate_hidden=float(np.mean(rates[:, 1])),
             learning_rate=learning_rate(config, first + config.batches - 1),
+            figures=dict(zip(("rate_encoding", "rate_hidden"), map(float, rates.mean(0)), strict=True)),
             validation=self.task.validate(*self.exported()),
-            seconds=(self.history[-1].seconds if self.history else 0.0) + time.monotonic() - began,
         )
 
     def _update(self, batch: Batch) -> tuple[float, list[float]]:
@@ -227,32 +275,15 @@ class Training:
         model.constrain()
         return float(error_loss(outputs.detach() / self._scale, target)), rates.tolist()
 
-    def save_best(self, out: Path, epoch: Epoch) -> None:
-        """Write the slow weights as the run's best."""
-        config = {"config": json.loads(self.config.model_dump_json()), "commit": commit()}
-        figures = {f"validation_{name}": round(value, 6) for name, value in epoch.validation.items()}
-        progress = {"epoch": epoch.epoch + 1, "updates": epoch.updates}
-        network, tensors = self.exported(config | self.task.note() | progress | figures)
-        save_network(out / "best.safetensors", network, tensors)
+    def save(self, file: Path, note: dict[str, Any]) -> None:
+        """Write the slow weights; the file says `note` of them."""
+        save_network(file, *self.exported(note | self.task.note()))
 
-    def save_checkpoint(self, out: Path) -> None:
-        """Write what `restore` needs, by way of memory: PyTorch reports a full disk as a failed writer."""
-        history = [asdict(epoch) for epoch in self.history]
-        state = {"model": self.model.state_dict(), "optimiser": self.optimiser.state_dict()}
-        torch.save(state | {"history": history}, buffer := io.BytesIO())
-        write_whole(out / "checkpoint.pt", buffer.getvalue())
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that a resumed run needs."""
+        return {"model": self.model.state_dict(), "optimiser": self.optimiser.state_dict()}
 
-    def restore(self, out: Path) -> None:
-        """Continue from a folder's checkpoint.
-
-        Raises:
-            ValueError: One of another version.
-        """
-        try:
-            state = torch.load(out / "checkpoint.pt", weights_only=True)
-            self.model.load_state_dict(state["model"])
-            self.optimiser.load_state_dict(state["optimiser"])
-            self.history = [Epoch(**row) for row in state["history"]]
-        except (RuntimeError, KeyError, TypeError) as error:
-            text = "its checkpoint is of another version of quadsim, choose another folder"
-            raise ValueError(f"{out}: {text}") from error
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue from the result of `state_dict`."""
+        self.model.load_state_dict(state["model"])
+        self.optimiser.load_state_dict(state["optimiser"])

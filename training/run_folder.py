@@ -1,4 +1,4 @@
-"""The files of a run: configuration, checkpoint, weights and loss curve."""
+"""The files of a run: configuration, digests of what it reads, log and loss curve."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from quadsim.runs.files import save_figure, write_whole
 from quadsim.runs.fingerprint import code_digest
 
-from .config import TrainConfig
+from .config import CircuitRun, TrainConfig
 
 
 @dataclass(frozen=True)
@@ -22,14 +22,14 @@ class Epoch:
     epoch: int
     updates: int
     train_loss: float
-    """Mean square error over the windows of the epoch [rad²; of a controller in units of its error scale]."""
-    rate_encoding: float
-    """Spikes per neuron and step while training."""
-    rate_hidden: float
+    """Mean square error over the windows of the epoch [rad²; of a controller in units of its error scale]; of
+    a circuit its own loss."""
     learning_rate: float
+    figures: dict[str, float]
+    """Of the updates: spikes per neuron and step, or the longest component of a vector."""
     validation: dict[str, float]
-    """Figures of merit on the validation flights, see `validate` of the task."""
-    seconds: float
+    """Figures of merit on the validation flights; of a circuit after the last update only."""
+    seconds: float = 0.0
     """Time of training so far."""
 
     @property
@@ -42,40 +42,41 @@ class Epoch:
         return self.score if math.isfinite(self.score) else math.inf
 
     def __str__(self) -> str:
-        """The figures of merit, for people."""
+        """The numbers, for people."""
+        validation = {f"validation {name}": value for name, value in self.validation.items()}
         shown = (
             f"{name.removesuffix('_deg')} {value:.2f}°" if name.endswith("_deg") else f"{name} {value:.4g}"
-            for name, value in self.validation.items()
+            for name, value in {"training loss": self.train_loss, **validation, **self.figures}.items()
         )
-        return ", ".join(shown)
+        return ", ".join(shown).replace("_", " ")
 
     def row(self) -> dict[str, float]:
         """The numbers by column of `log.csv`."""
         own = asdict(self)
-        return own | {f"validation_{name}": value for name, value in own.pop("validation").items()}
+        judged = {f"validation_{name}": value for name, value in own.pop("validation").items()}
+        return own | own.pop("figures") | judged
 
 
-def claim(out: Path, config: TrainConfig, contents: dict[str, str] | None = None) -> None:
-    """Make the folder this run's; `contents` are digests by `contents_of`, None: they are not compared.
+def claim(out: Path, config: TrainConfig | CircuitRun, flights: dict[str, str]) -> None:
+    """Make the folder this run's; `flights` are the digests of what it trains on.
 
     Raises:
         ValueError: It holds a run with another configuration, of another version, or on files that have
             changed.
     """
     out.mkdir(parents=True, exist_ok=True)
-    file, text = out / "config.json", config.model_dump_json(indent=2)
+    file, any_threads = out / "config.json", {"threads"}  # which change the last digits alone
     if file.is_file():
         try:
-            before = TrainConfig.model_validate_json(file.read_text(encoding="utf-8"))
+            before = type(config).model_validate_json(file.read_text(encoding="utf-8"))
         except ValidationError:
             raise ValueError(
                 f"{out}: holds a run of another version of quadsim, choose another folder"
             ) from None
-        if before.model_copy(update={"threads": config.threads}) != config:  # changes the last digits alone
+        if before.model_dump(exclude=any_threads) != config.model_dump(exclude=any_threads):
             raise ValueError(f"{out}: holds a run with another configuration, choose another folder")
-    write_whole(file, text)
-    if contents is None:
-        return
+    write_whole(file, config.model_dump_json(indent=2))
+    contents = flights | {"code": code_digest("training.loop")}
     file = out / "contents.json"
     if file.is_file() and (old := json.loads(file.read_text(encoding="utf-8"))) != contents:
         changed = ", ".join(name for name in contents if old.get(name) != contents[name])
@@ -83,21 +84,17 @@ def claim(out: Path, config: TrainConfig, contents: dict[str, str] | None = None
     write_whole(file, json.dumps(contents, indent=2))
 
 
-def contents_of(config: TrainConfig, flights: dict[str, str]) -> dict[str, str]:
-    """Digests of what a run reads, its flights' among them, so that a run on other files is refused."""
-    return flights | {"code": code_digest("training.loop")}
-
-
 def plot(out: Path, history: list[Epoch]) -> None:
     """Training loss and the score over the epochs (the paper's Fig. 4)."""
     from matplotlib.figure import Figure
 
-    above, below = (figure := Figure(figsize=(7, 5), layout="constrained")).subplots(2, sharex=True)
-    epochs = [e.epoch + 1 for e in history]
-    above.semilogy(epochs, [e.train_loss for e in history])
-    above.set(ylabel="loss on training windows")
-    below.semilogy(epochs, [e.score for e in history])
-    below.set(ylabel=f"{next(iter(history[0].validation))} on validation flights", xlabel="epoch")
-    for axes in (above, below):
+    panels = {"loss on training windows": [e.train_loss for e in history]}
+    if judged := history[0].validation:
+        panels[f"{next(iter(judged))} on validation flights"] = [e.score for e in history]
+    figure = Figure(figsize=(7, 2.5 * len(panels)), layout="constrained")
+    every = figure.subplots(len(panels), squeeze=False)[:, 0]
+    for axes, (label, values) in zip(every, panels.items(), strict=True):
+        axes.semilogy([e.epoch + 1 for e in history], values)
+        axes.set(ylabel=label, xlabel="epoch")
         axes.grid(alpha=0.3)
     save_figure(out / "curve.png", figure, dpi=150, bbox_inches="tight")

@@ -34,8 +34,8 @@ def train(
             "epoch": best.epoch,
             "val_mse": best.score,
             "val_error_deg": best.validation["error_deg"],
-            "rate_encoding": best.rate_encoding,
-            "rate_hidden": best.rate_hidden,
+            "rate_encoding": best.figures["rate_encoding"],
+            "rate_hidden": best.figures["rate_hidden"],
         },
         "reason": result.reason,
     }

@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -12,7 +12,8 @@ from ..runs.record import command_line
 from .options import LearningSeed, fields_of
 
 if TYPE_CHECKING:
-    from training.config import TrainConfig
+    from training.loop import Config
+    from training.run_folder import Epoch
 
 TRAINED = ("model", "preset", "data", "validation", "seed", "out", "progress")
 """Settings of a training that have an option of their own, or follow from others."""
@@ -70,55 +71,21 @@ def train(
         choices["epochs"] = epochs
     if validation:
         choices["validation"] = tuple(map(str, validation))
-    from training.circuit.config import is_recipe
-
-    if is_recipe(preset):
-        layered = {"--model": model != "att-snn", "--epochs": epochs}
-        if wrong := [option for option, given in layered.items() if given]:
-            raise ValueError(
-                f"{wrong[0]} is not for the circuit of {preset}: leave it out, or give --preset paper"
-            )
-        _train_circuit(out, data or [], preset, choices | {"seed": seed})
-    else:
-        _train_network(out, data or [], model, preset, choices | {"seed": seed})
-
-
-def _train_network(out: Path, data: list[Path], model: str, preset: str, choices: dict[str, object]) -> None:
     from training.loop import INTERRUPTED
     from training.loop import train as train_network
-    from training.run_folder import Epoch
 
     with progress_bar(f"train {preset}", "epochs") as bar:
 
-        def progress(epoch: Epoch, config: "TrainConfig") -> None:
+        def progress(epoch: "Epoch", config: "Config") -> None:
             bar(epoch.epoch + 1, config.epochs)
-            say(
-                f"epoch {epoch.epoch + 1}: training loss {epoch.train_loss:.4g}, validation {epoch}, "
-                f"spike rates {epoch.rate_encoding:.3f} {epoch.rate_hidden:.3f}"
-            )
+            say(f"epoch {epoch.epoch + 1}: {epoch}")
 
-        result = train_network(model, tuple(map(str, data)), out, preset, progress, **choices)
+        paths = tuple(map(str, data or []))
+        result = train_network(model, paths, out, preset, progress, **choices, seed=seed)
     best = result.best
-    say(f"{result.weights}: validation {best} at epoch {best.epoch + 1}; {result.reason}")
+    say(f"{result.weights}: {best} at epoch {best.epoch + 1}; {result.reason}")
     if result.reason == INTERRUPTED:
         raise KeyboardInterrupt
-
-
-def _train_circuit(out: Path, data: list[Path], preset: str, choices: dict[str, Any]) -> None:
-    from training.circuit.config import CircuitRun, make_run
-    from training.circuit.train import Row, train_circuit
-
-    run = make_run(preset, data=tuple(map(str, data)), **choices)
-    with progress_bar(f"train {preset}", "updates") as bar:
-
-        def progress(row: Row, run: CircuitRun) -> None:
-            bar(row.updates, run.updates, f"error {math.degrees(row.loss):.2f}°")
-
-        trained = train_circuit(run, out, progress)
-    for name, error in trained.errors.items():
-        before = f", {trained.before[name]:.2f}° before" if run.init else ""
-        say(f"{name}: {error:.2f}° mean absolute error{before}")
-    say(f"{trained.weights}: {run.updates} updates")
 
 
 def tune(

@@ -7,10 +7,11 @@ from estimators.circuit.file import load_circuit
 from estimators.circuit.parameters import LEARNT, untrained
 from quadsim.dataset import generate
 from quadsim.flight.recipe import load_recipe
-from training.circuit.config import CircuitTraining, make_run
 from training.circuit.gradient import loss_and_gradient
-from training.circuit.streams import StreamBatch, bias_of, draw_streams, held, load_motion, sway
-from training.circuit.train import train_circuit
+from training.circuit.streams import StreamBatch, bias_of, draw_streams, held, sway
+from training.config import CircuitTraining, make_config
+from training.data import load_training_flights
+from training.loop import INTERRUPTED, train
 
 
 def batch(seed=0, steps=200, n=6):
@@ -50,58 +51,66 @@ def data(tmp_path_factory):
     )
 
 
-SHORT = {"updates": 600, "streams": 8, "batch_size": 2, "window_s": 0.1, "vectors": 4, "gates": 8, "seed": 3}
+SHORT = {
+    "preset": "att-snn", "updates": 600, "streams": 8, "batch_size": 2, "window_s": 0.1,
+    "vectors": 4, "gates": 8, "seed": 3,
+}  # fmt: skip
 
 
 def test_a_stopped_run_ends_as_one_that_was_not(tmp_path, data):
-    run = make_run(data=data, validation=data[:1], **SHORT)
-    whole, errors, _ = train_circuit(run, tmp_path / "whole")
+    choices = SHORT | {"data": data, "validation": data[:1]}
+    whole = train(out=tmp_path / "whole", **choices)
 
-    def stop(row, run):
+    def stop(epoch, run):
         raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt):
-        train_circuit(run, tmp_path / "parts", stop)
-    assert not (tmp_path / "parts" / "best.safetensors").exists()
-    parts, again, _ = train_circuit(run, tmp_path / "parts")
-    for ours, theirs in zip(load_circuit(whole)[1], load_circuit(parts)[1], strict=True):
+    stopped = train(out=tmp_path / "parts", progress=stop, **choices)
+    assert (stopped.reason, stopped.best.updates, stopped.best.validation) == (INTERRUPTED, 500, {})
+    assert load_circuit(stopped.weights).config.training["updates"] == 500
+    parts = train(out=tmp_path / "parts", **choices)
+    for ours, theirs in zip(load_circuit(whole.weights)[1], load_circuit(parts.weights)[1], strict=True):
         np.testing.assert_array_equal(ours, theirs)
-    assert errors == again
+    assert whole.best.validation == parts.best.validation
     assert {each.name for each in (tmp_path / "parts").iterdir()} >= {"log.csv", "curve.png", "config.json"}
     with pytest.raises(ValueError, match="holds a run with another configuration"):
-        train_circuit(make_run(data=data, **SHORT | {"seed": 4}), tmp_path / "parts")
-    config, p = load_circuit(whole)
+        train(out=tmp_path / "parts", **choices | {"seed": 4})
+    config, p = load_circuit(whole.weights)
     assert config.training["training_flights"] == 6
     assert np.abs(p.mix - untrained(4, 8, 3, 1.0).mix).max() > 1e-3
     little = {"updates": 1, "streams": 8, "batch_size": 2, "window_s": 0.1, "learning_rate": 1e-6}
-    tuned = make_run("tune", data=data, validation=data[:1], init=str(whole), **little)
+    little |= {"preset": "tune", "data": data, "validation": data[:1], "init": str(whole.weights)}
+    tuned = make_config(**little)
     assert (tuned.vectors, tuned.gates) == (4, 8)
-    after = train_circuit(tuned, tmp_path / "on")
-    assert after.before == errors
+    after = train(out=tmp_path / "on", **little)
+    before = after.best.validation["hummingbird_before_deg"]
+    assert {"hummingbird_deg": before} == whole.best.validation
     np.testing.assert_allclose(load_circuit(after.weights).parameters.mix, p.mix, atol=1e-5)
 
 
 def test_a_run_says_what_is_wrong(data, tmp_path):
     with pytest.raises(ValueError, match="at least one dataset"):
-        make_run(data=())
+        make_config("att-snn")
     with pytest.raises(ValueError, match="gates"):
-        make_run(data=data, gates=2)
+        make_config("att-snn", data=data, gates=2)
+    for wrong in ({"epochs": 3}, {"model": "att-rnn"}):
+        with pytest.raises(ValueError, match=f"--{next(iter(wrong))} is not for the circuit of att-snn"):
+            make_config("att-snn", data=data, **wrong)
     with pytest.raises(ValueError, match="window_s: 40, but the shortest flight has 6 s"):
-        train_circuit(make_run(data=data), tmp_path)
+        train(data=data, preset="att-snn", out=tmp_path)
     assert not list(tmp_path.iterdir())  # the folder is free for a run that is right
 
 
 def test_streams_are_readings_and_their_up(data):
-    flights, hands = load_motion(data)
-    assert (len(flights), len(hands)) == (1, 1)
+    parts = [load_training_flights([path]) for path in data]
+    assert [part.vehicles for part in parts] == [("hummingbird",), ()]
     recipe = CircuitTraining(streams=70, hand_share=0.5, known_share=0.5)
-    streams = draw_streams(flights, hands, recipe, 400, np.random.default_rng(0))
+    streams = draw_streams(parts, recipe, 400, np.random.default_rng(0))
     for each in streams[:3]:
         assert each.shape == (70, 400, 3)
         assert np.isfinite(each).all()
     assert 20 < streams.known.sum() < 50
     np.testing.assert_allclose(np.linalg.norm(streams.up, axis=2), 1, atol=1e-5)
-    again = draw_streams(flights, hands, recipe, 400, np.random.default_rng(0))
+    again = draw_streams(parts, recipe, 400, np.random.default_rng(0))
     np.testing.assert_array_equal(streams.force, again.force)
 
 

@@ -2,8 +2,7 @@ import pytest
 
 from quadsim.cli.options import fields_of
 from quadsim.config.toml import load_toml, preset_names
-from training.circuit.config import is_recipe
-from training.config import TrainConfig, TrainingRecipe, make_config
+from training.config import CircuitRun, TrainConfig, TrainingRecipe, is_of_circuit, make_config
 
 
 @pytest.mark.parametrize(
@@ -35,7 +34,7 @@ def test_bad_choices_give_one_clear_line(choices, message):
 
 
 @pytest.mark.parametrize("model", ["att-snn", "att-rnn"])
-@pytest.mark.parametrize("name", [name for name in preset_names("presets") if not is_recipe(name)])
+@pytest.mark.parametrize("name", [name for name in preset_names("presets") if not is_of_circuit(name)])
 def test_every_shipped_preset_loads(name, model):
     preset = load_toml(name, "presets", TrainingRecipe)
     if preset.outputs == "angular-acceleration":
@@ -58,7 +57,8 @@ def test_a_preset_of_the_user_s_is_a_file(tmp_path):
 
 
 def test_every_field_is_documented():
-    assert all(field.description for field in TrainConfig.model_fields.values())
+    for kind in (TrainConfig, CircuitRun):
+        assert all(field.description for field in kind.model_fields.values())
 
 
 def test_a_setting_of_a_table_leaves_its_other_keys():

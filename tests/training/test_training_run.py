@@ -22,7 +22,6 @@ from training.config import make_config
 from training.data import AttitudeTask, network_inputs, windows
 from training.loop import train
 from training.optim import finished, total_cost
-from training.run_folder import claim
 
 TINY = {
     "optimisation": "layered", "rate_cost": 0.03, "epochs": 3, "batches": 4, "batch_size": 4, "window_s": 0.5,
@@ -81,7 +80,7 @@ def test_a_killed_run_resumes_to_the_same_weights(dataset, tmp_path, model):
     for name in whole["model"]:
         np.testing.assert_array_equal(whole["model"][name], cut["model"][name])
     same(weights_of(tmp_path / "whole"), weights_of(tmp_path / "cut"))
-    claim(tmp_path / "cut", make_config(**choices, threads=2))  # another number of threads is the same run
+    train(out=tmp_path / "cut", **choices, threads=2)  # another number of threads is the same run
 
 
 def test_a_neuron_has_the_finest_exponent_that_holds_its_weights(dataset, tmp_path):
@@ -201,8 +200,9 @@ def test_fixed_time_constants_stay_and_do_not_count_in_the_gradients_norm(datase
     for name in ("syn0", "mem0", "syn1", "mem1", "syn2", "mem2"):
         assert np.unique(tensors[name]).size == 1
     config = make_config(**choices)
-    model = loop.Training(config, AttitudeTask(config)).model
-    frozen = {name for name, p in model.named_parameters() if not p.requires_grad}
+    training = loop.Training(config, AttitudeTask(config))
+    training.begin()
+    frozen = {name for name, p in training.model.named_parameters() if not p.requires_grad}
     assert frozen == {"syn0", "mem0", "syn1", "mem1", "syn2", "mem2"}
 
 
@@ -232,6 +232,7 @@ def begun(dataset):
     config = make_config(data=dataset, **TINY | {"rate_cost": 0.5})
     task = AttitudeTask(config)
     training = loop.Training(config, task)
+    training.begin()
     training.model.double()
     return training, list(windows(task.flights, config, 100, (0, 1)))
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -15,8 +14,8 @@ from quadsim.rotation import multiply_core, normalize_core, quat_rotate_inverse
 from quadsim.runs.compiled import njit
 
 from ..augment import Augmentation, augment
-from ..data import SIGNALS, TrainingFlights, load_training_flights
-from .config import CircuitTraining
+from ..config import CircuitTraining
+from ..data import SIGNALS, TrainingFlights
 
 Floats = NDArray[np.float32]
 BLOCK = 32
@@ -56,28 +55,15 @@ class Streams(NamedTuple):
         return StreamBatch(angle, force, up, np.ascontiguousarray(self.bias[rows].T), self.known[rows])
 
 
-def load_motion(paths: Sequence[str | Path]) -> tuple[list[TrainingFlights], list[TrainingFlights]]:
-    """Datasets of flights, and those of motion in the hand, which have no vehicle.
-
-    Raises:
-        FileNotFoundError: A dataset is not there.
-        ValueError: One cannot be used.
-    """
-    parts = [load_training_flights([path]) for path in paths]
-    return [part for part in parts if part.vehicles], [part for part in parts if not part.vehicles]
-
-
 def draw_streams(
-    flights: Sequence[TrainingFlights],
-    hands: Sequence[TrainingFlights],
-    recipe: CircuitTraining,
-    steps: int,
-    rng: np.random.Generator,
+    parts: Sequence[TrainingFlights], recipe: CircuitTraining, steps: int, rng: np.random.Generator
 ) -> Streams:
     """Draw streams of T = `steps` samples, each with sensor errors of its own.
 
-    Where there is only one kind of motion, all streams are of that kind.
+    Datasets of motion in the hand are those without a vehicle. Where there is only one kind of motion, all
+    streams are of that kind.
     """
+    flights, hands = ([part for part in parts if bool(part.vehicles) is flown] for flown in (True, False))
     hand_share = recipe.hand_share if flights and hands else float(not flights)
     count, blocks = recipe.streams, -(-recipe.streams // BLOCK)
     kinds, fine = rng.random(blocks) < hand_share, rng.random(blocks) < recipe.calibrated_share

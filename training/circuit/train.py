@@ -1,22 +1,12 @@
-"""Training of the circuit: Adam with a learning rate that falls, over streams that are drawn once.
-
-A run's folder holds `config.json`, `log.csv`, `checkpoint.npz`, `best.safetensors` and `curve.png`. A run
-that was stopped continues from its checkpoint and ends with the same weights.
-"""
+"""Training of the circuit: Adam with a learning rate that falls, over streams that are drawn once."""
 
 from __future__ import annotations
 
-import io
-import json
-import time
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
-import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
+import torch
 from numpy.typing import NDArray
 
 from estimators.circuit.estimator import circuit_estimator
@@ -24,22 +14,18 @@ from estimators.circuit.file import CircuitConfig, load_circuit, save_circuit
 from estimators.circuit.floats import run_floats, stepped
 from estimators.circuit.parameters import LEARNT, OUTPUT, RATE_HZ, Parameters, untrained, with_quick_start
 from estimators.metrics import absolute_error
-from quadsim.dataset.figures import STYLE
-from quadsim.runs.files import alone, save_figure, write_csv, write_whole
-from quadsim.runs.fingerprint import code_digest
-from quadsim.runs.record import commit
 
+from ..config import EPOCH_UPDATES, CircuitRun
 from ..data import load_training_flights
-from .config import CircuitRun
+from ..run_folder import Epoch
 from .gradient import begin, loss_and_gradient
-from .streams import Streams, draw_streams, load_motion
+from .streams import Streams, draw_streams
 
 Array = NDArray[np.float64]
 STEP = {"take": 0.5, "read": 0.5, "learn": 0.1, "gate": 0.5, "level": 0.5, "onset": 0.5}
 """Factors of the learning rate; others 1."""
 WARM_UP, BETA1, BETA2, SLOW = 20, 0.9, 0.99, 0.98
 """Updates over which the rate rises; decays of Adam's moments, and of the averaged weights."""
-SAVE_EVERY = 500
 DIVERGED = 50.0
 """Length of a vector at which an update is taken back."""
 RANGE_QUANTILE, RANGE = 0.999, 0.9
@@ -47,104 +33,119 @@ RANGE_QUANTILE, RANGE = 0.999, 0.9
 NOISE = 1.0
 
 
-@dataclass(frozen=True)
-class Row:
-    """A row of the log."""
+class CircuitLearner:
+    """A circuit that learns, with the methods of `training.loop.Training`.
 
-    updates: int
-    loss: float
-    """Mean since the last row."""
-    longest: float
-    """Longest component of a vector."""
-    seconds: float
-
-
-@dataclass
-class AdamState:
-    """What a checkpoint saves: weights, Adam's moments, averaged weights and the log."""
-
-    weights: Array
-    first: Array
-    second: Array
-    slow: Array
-    rows: list[Row]
-
-
-Progress = Callable[[Row, CircuitRun], None]
-
-
-class Trained(NamedTuple):
-    """What a training ends with."""
-
-    weights: Path
-    errors: dict[str, float]
-    """Mean absolute error of each validation set, on spikes [deg]."""
-    before: dict[str, float]
-    """The same of the circuit that the run continued."""
-
-
-def train_circuit(run: CircuitRun, out: Path, progress: Progress | None = None) -> Trained:
-    """Train a circuit, or continue a run that was stopped.
+    Args:
+        config: Of the run.
 
     Raises:
-        ValueError: A dataset that cannot be used, or another run's folder.
+        ValueError: A dataset that cannot be used.
         FileNotFoundError: A dataset is not there.
     """
-    with alone(out):
-        before = {name: validation_error(_first(run), name) for name in run.validation} if run.init else {}
-        flights, hands = load_motion(run.data)
-        steps = _steps_of(run, [*flights, *hands])
-        _claim(run, out)
-        rng = np.random.default_rng([run.seed, 0])
-        streams = draw_streams(flights, hands, run, steps, rng)
-        sizes = {"training_flights": sum(map(len, flights)) + sum(map(len, hands))}
-        vehicles = sorted({vehicle for each in flights for vehicle in each.vehicles})
-        del flights, hands
-        weights = stream_weights(streams)
-        state = _start(run, out)
-        while len(state.rows) * SAVE_EVERY < run.updates:
-            _some_updates(run, streams, weights, state)
-            _save_checkpoint(out, state)
-            write_csv(out / "log.csv", state.rows)
-            if progress:
-                progress(state.rows[-1], run)
-        p = with_quick_start(scaled(_with(_first(run), state.slow), streams))
-        errors = {name: validation_error(p, name) for name in run.validation}
-        note = {"config": json.loads(run.model_dump_json()), "commit": commit(), "vehicles": vehicles} | sizes
-        note |= {"validation_deg": {Path(name).stem: round(value, 3) for name, value in errors.items()}}
-        file = out / "best.safetensors"
-        save_circuit(file, CircuitConfig(vectors=run.vectors, gates=run.gates, training=note), p)
-        save_figure(out / "curve.png", _curve(state.rows))
-    return Trained(file, errors, before)
 
-
-def _steps_of(run: CircuitRun, parts: list) -> int:
-    for part in parts:
-        if not np.isclose(part.rate_hz, RATE_HZ):
-            raise ValueError(f"data at {part.rate_hz:g} Hz, a circuit is for {RATE_HZ:g} Hz")
-    steps = round(run.window_s * RATE_HZ)
-    shortest = min(part.gyro.shape[1] for part in parts)
-    if steps > shortest:
-        raise ValueError(f"window_s: {run.window_s:g}, but the shortest flight has {shortest / RATE_HZ:g} s")
-    return steps
-
-
-def _claim(run: CircuitRun, out: Path) -> None:
-    """Make the folder this run's."""
-    out.mkdir(parents=True, exist_ok=True)
-    file, code = out / "config.json", code_digest("training.circuit.train")
-    text = json.dumps({"run": json.loads(run.model_dump_json()), "code": code}, indent=2)
-    if file.is_file() and file.read_text(encoding="utf-8") != text:
-        raise ValueError(
-            f"{out}: holds a run with another configuration or of other code, choose another folder"
+    def __init__(self, config: CircuitRun) -> None:
+        self.config = config
+        self.parts = [load_training_flights([path]) for path in config.data]
+        for part in self.parts:
+            if not np.isclose(part.rate_hz, RATE_HZ):
+                raise ValueError(f"data at {part.rate_hz:g} Hz, a circuit is for {RATE_HZ:g} Hz")
+        self.steps = round(config.window_s * RATE_HZ)
+        shortest = min(part.gyro.shape[1] for part in self.parts)
+        if self.steps > shortest:
+            raise ValueError(
+                f"window_s: {config.window_s:g}, but the shortest flight has {shortest / RATE_HZ:g} s"
+            )
+        self.first = (
+            load_circuit(config.init).parameters
+            if config.init
+            else untrained(config.vectors, config.gates, config.seed, NOISE)
         )
-    write_whole(file, text)
+
+    def contents(self) -> dict[str, str]:
+        """Digests of the flights."""
+        return {path: part.digest() for path, part in zip(self.config.data, self.parts, strict=True)}
+
+    def begin(self) -> None:
+        """Draw the streams; weights, Adam's moments and averaged weights as they are at first."""
+        rng = np.random.default_rng([self.config.seed, 0])
+        self.streams = draw_streams(self.parts, self.config, self.steps, rng)
+        vehicles = sorted({vehicle for part in self.parts for vehicle in part.vehicles})
+        self.note = {"vehicles": vehicles, "training_flights": sum(map(len, self.parts))}
+        self.parts = []  # whose memory is not needed any more
+        self.stream_weights = stream_weights(self.streams)
+        self.weights = _flat(self.first)
+        self.first_moment, self.second_moment = 0 * self.weights, 0 * self.weights
+        self.slow = self.weights.copy()
+
+    def one_epoch(self, number: int) -> Epoch:
+        """`EPOCH_UPDATES` updates, or what is left of them; validates after the last."""
+        run, losses, longest, rate = self.config, [], 0.0, 0.0
+        last = min((number + 1) * EPOCH_UPDATES, run.updates)
+        factors = np.concatenate(
+            [np.full(getattr(self.first, name).size, STEP.get(name, 1.0)) for name in LEARNT]
+        )
+        for k in range(number * EPOCH_UPDATES, last):
+            rng = np.random.default_rng([run.seed, 1, k])
+            streams = len(self.stream_weights)
+            rows = rng.choice(streams, min(run.batch_size, streams), replace=False)
+            p = _with(self.first, self.weights)
+            loss, slope, trace = loss_and_gradient(p, self.streams.batch(rows), self.stream_weights[rows])
+            gradient, size = _flat(slope), float(np.abs(trace.x).max())
+            longest = max(longest, size)
+            if not np.isfinite(loss) or not np.isfinite(gradient).all() or size > DIVERGED:
+                self.weights, self.first_moment = self.slow.copy(), 0 * self.first_moment
+                continue
+            gradient *= min(1.0, 1.0 / np.linalg.norm(gradient))
+            self.first_moment = BETA1 * self.first_moment + (1 - BETA1) * gradient
+            self.second_moment = BETA2 * self.second_moment + (1 - BETA2) * gradient**2
+            rate = run.learning_rate * 0.5 * (1 + np.cos(np.pi * k / run.updates)) * min(1, (k + 1) / WARM_UP)
+            mean = self.first_moment / (1 - BETA1 ** (k + 1))
+            deviation = np.sqrt(self.second_moment / (1 - BETA2 ** (k + 1))) + 1e-7
+            self.weights = self.weights - factors * rate * mean / deviation
+            self.slow = SLOW * self.slow + (1 - SLOW) * self.weights
+            losses.append(loss)
+        return Epoch(
+            epoch=number,
+            updates=last,
+            train_loss=float(np.mean(losses)) if losses else float("nan"),
+            learning_rate=float(rate),
+            figures={"longest": longest},
+            validation=self._validation() if last == run.updates else {},
+        )
+
+    def _validation(self) -> dict[str, float]:
+        """Mean absolute error of each validation set, also of the circuit that the run continued [deg]."""
+        found = {}
+        for path in self.config.validation:
+            name = Path(path).stem
+            found[f"{name}_deg"] = validation_error(self.circuit(), path)
+            if self.config.init:
+                found[f"{name}_before_deg"] = validation_error(self.first, path)
+        return found
+
+    def circuit(self) -> Parameters:
+        """The circuit of the averaged weights, as it flies."""
+        return with_quick_start(scaled(_with(self.first, self.slow), self.streams))
+
+    def save(self, file: Path, note: dict[str, Any]) -> None:
+        """Write the circuit; the file says `note` of it."""
+        vectors, gates = self.config.vectors, self.config.gates
+        about = CircuitConfig(vectors=vectors, gates=gates, training=note | self.note)
+        save_circuit(file, about, self.circuit())
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that a resumed run needs."""
+        return {name: torch.from_numpy(getattr(self, name)) for name in STATE}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue from the result of `state_dict`."""
+        for name in STATE:
+            setattr(self, name, state[name].numpy())
 
 
-def _first(run: CircuitRun) -> Parameters:
-    if run.init:
-        return load_circuit(run.init).parameters
-    return untrained(run.vectors, run.gates, run.seed, NOISE)
+STATE = ("weights", "first_moment", "second_moment", "slow")
+"""What changes in an update."""
 
 
 def _flat(p: Parameters) -> Array:
@@ -179,36 +180,6 @@ def stream_weights(streams: Streams) -> NDArray[np.float32]:
     return (weights / weights.mean()).astype(np.float32)
 
 
-def _some_updates(run: CircuitRun, streams: Streams, weights: NDArray[np.float32], state: AdamState) -> None:
-    """`SAVE_EVERY` updates, and a row of the log."""
-    began, first = time.monotonic(), len(state.rows) * SAVE_EVERY
-    last = min(first + SAVE_EVERY, run.updates)
-    start = _first(run)
-    factors = np.concatenate([np.full(getattr(start, name).size, STEP.get(name, 1.0)) for name in LEARNT])
-    losses, longest = [], 0.0
-    for k in range(first, last):
-        rng = np.random.default_rng([run.seed, 1, k])
-        rows = rng.choice(len(weights), min(run.batch_size, len(weights)), replace=False)
-        p = _with(start, state.weights)
-        loss, slope, trace = loss_and_gradient(p, streams.batch(rows), weights[rows])
-        gradient, longest = _flat(slope), max(longest, float(np.abs(trace.x).max()))
-        if not np.isfinite(loss) or not np.isfinite(gradient).all() or np.abs(trace.x).max() > DIVERGED:
-            state.weights, state.first = state.slow.copy(), 0 * state.first
-            continue
-        gradient *= min(1.0, 1.0 / np.linalg.norm(gradient))
-        state.first = BETA1 * state.first + (1 - BETA1) * gradient
-        state.second = BETA2 * state.second + (1 - BETA2) * gradient**2
-        rate = run.learning_rate * 0.5 * (1 + np.cos(np.pi * k / run.updates)) * min(1, (k + 1) / WARM_UP)
-        mean = state.first / (1 - BETA1 ** (k + 1))
-        size = np.sqrt(state.second / (1 - BETA2 ** (k + 1))) + 1e-7
-        state.weights = state.weights - factors * rate * mean / size
-        state.slow = SLOW * state.slow + (1 - SLOW) * state.weights
-        losses.append(loss)
-    seconds = state.rows[-1].seconds if state.rows else 0.0
-    loss = float(np.mean(losses)) if losses else float("nan")
-    state.rows.append(Row(last, loss, longest, seconds + time.monotonic() - began))
-
-
 def scaled(p: Parameters, streams: Streams) -> Parameters:
     """The circuit with scales of its vectors from how long they are on streams."""
     batch = streams.batch(np.arange(min(128, len(streams.up))))
@@ -224,33 +195,3 @@ def validation_error(p: Parameters, path: str) -> float:
     estimator = circuit_estimator("att-snn", p)
     estimator.reset(len(flights))
     return float(absolute_error(estimator.sequence(flights.gyro, flights.accel), flights.roll_pitch).mean())
-
-
-def _start(run: CircuitRun, out: Path) -> AdamState:
-    """The state of the folder's checkpoint, or a new one."""
-    file = out / "checkpoint.npz"
-    if file.is_file():
-        with np.load(file, allow_pickle=False) as kept:
-            rows = [Row(int(a), float(b), float(c), float(d)) for a, b, c, d in kept["rows"]]
-            return AdamState(*(kept[name] for name in ("weights", "first", "second", "slow")), rows=rows)
-    weights = _flat(_first(run))
-    return AdamState(weights, 0 * weights, 0 * weights, weights.copy(), [])
-
-
-def _save_checkpoint(out: Path, state: AdamState) -> None:
-    rows = np.array([(row.updates, row.loss, row.longest, row.seconds) for row in state.rows])
-    buffer = io.BytesIO()
-    np.savez(
-        buffer, weights=state.weights, first=state.first, second=state.second, slow=state.slow, rows=rows
-    )
-    write_whole(out / "checkpoint.npz", buffer.getvalue())
-
-
-def _curve(rows: list[Row]) -> Figure:
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(6, 3.5), layout="constrained")
-        axes = figure.add_subplot()
-        axes.plot([row.updates for row in rows], [np.degrees(row.loss) for row in rows])
-        axes.set_xlabel("updates")
-        axes.set_ylabel("weighted training error [deg]")
-    return figure
