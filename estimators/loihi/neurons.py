@@ -124,45 +124,39 @@ def step(neurons, drive, state, spikes, before, sums):
         v[j] = _potential(v[j], neurons.dv[j], neurons.vth[j], current + neurons.bias[j])
 
 
-# --- the arithmetic, of integers and of floats ------------------------------------------------------
+# --- the arithmetic, of floats and of integers ------------------------------------------------------
 
 
-def _added(x, y):
-    """The sum of two weights."""
+def either(floats, integers):
+    """A function for compiled code: one of two, by the type of its first argument."""
+
+    def stub(*args):
+        raise NotImplementedError
+
+    overload(stub, strict=False)(
+        lambda first, *others: floats if isinstance(first, types.Float) else integers
+    )
+    return stub
 
 
-def _current(x, d, arriving):
-    """A current after a step."""
+_added = either(lambda x, y: x + y, lambda x, y: np.int32(np.int32(x) + np.int32(y)))
+"""The sum of two weights."""
+_current = either(
+    lambda x, d, arriving: x * d + arriving,
+    lambda x, d, arriving: wrap(np.int32(decay(x, d) + wrap(np.int32(arriving), 21)), 23),
+)
+"""A current after a step."""
 
 
-def _potential(v, d, threshold, drive):
-    """A potential after a step, before its reset."""
+def _whole_potential(v, d, threshold, drive):
+    driven = np.int32(decay(np.int32(0) if v > threshold else v, d) + np.int32(drive))
+    return min(max(driven, np.int32(-STATE_MAX)), np.int32(STATE_MAX))
 
 
-@overload(_added)
-def _(x, y):
-    if isinstance(x, types.Float):
-        return lambda x, y: x + y
-    return lambda x, y: np.int32(np.int32(x) + np.int32(y))
-
-
-@overload(_current)
-def _(x, d, arriving):
-    if isinstance(x, types.Float):
-        return lambda x, d, arriving: x * d + arriving
-    return lambda x, d, arriving: wrap(np.int32(decay(x, d) + wrap(np.int32(arriving), 21)), 23)
-
-
-@overload(_potential)
-def _(v, d, threshold, drive):
-    if isinstance(v, types.Float):
-        return lambda v, d, threshold, drive: (0.0 if v > threshold else v) * d + drive
-
-    def potential(v, d, threshold, drive):
-        driven = np.int32(decay(np.int32(0) if v > threshold else v, d) + np.int32(drive))
-        return min(max(driven, np.int32(-STATE_MAX)), np.int32(STATE_MAX))
-
-    return potential
+_potential = either(
+    lambda v, d, threshold, drive: (0.0 if v > threshold else v) * d + drive, _whole_potential
+)
+"""A potential after a step, before its reset."""
 
 
 @njit

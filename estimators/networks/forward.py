@@ -16,8 +16,6 @@ from collections.abc import Iterable
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
-from numba import types
-from numba.extending import overload
 from numpy.typing import NDArray
 
 from quadsim.runs.compiled import njit
@@ -32,6 +30,7 @@ from ..loihi.neurons import (
     VTH_MAX,
     NeuronState,
     decay,
+    either,
     list_spikes,
     neurons_of,
     shift,
@@ -208,39 +207,23 @@ def advance(x, encoders, current, bias, total):
         total[i] = 0
 
 
-def _products(a, w, b, y, c, z):
-    """The sum of three products."""
-
-
-def _driven(current, d, total):
-    """The current of an encoding neuron after a step."""
-
-
-def _bias(current):
-    """What it adds to the potential."""
-
-
-@overload(_products)
-def _(a, w, b, y, c, z):
-    if isinstance(a, types.Float):
-        return lambda a, w, b, y, c, z: w * a + y * b + z * c
-    return lambda a, w, b, y, c, z: np.int32(np.int32(np.int32(a * w) + np.int32(b * y)) + np.int32(c * z))
-
-
-@overload(_driven)
-def _(current, d, total):
-    if isinstance(current, types.Float):
-        return lambda current, d, total: current * d + total
-    # Mantissas of 1/256 times inputs of 1/1024 are 2^-18; a state unit is 2^-14.
-    return lambda current, d, total: wrap(np.int32(decay(current, d) + shift(total, 4)), 23)
-
-
-@overload(_bias)
-def _(current):
-    if isinstance(current, types.Float):
-        return lambda current: current
-    largest = np.int32(BIAS_MANT_MAX)
-    return lambda current: np.int32(min(max(shift(current, BIAS_EXP), -largest), largest) << BIAS_EXP)
+_products = either(
+    lambda a, w, b, y, c, z: w * a + y * b + z * c,
+    lambda a, w, b, y, c, z: np.int32(np.int32(np.int32(a * w) + np.int32(b * y)) + np.int32(c * z)),
+)
+"""The sum of three products."""
+# Mantissas of 1/256 times inputs of 1/1024 are 2^-18; a state unit is 2^-14.
+_driven = either(
+    lambda current, d, total: current * d + total,
+    lambda current, d, total: wrap(np.int32(decay(current, d) + shift(total, 4)), 23),
+)
+"""The current of an encoding neuron after a step."""
+_bias = either(
+    lambda current: current,
+    lambda current: np.int32(min(max(shift(current, BIAS_EXP), -_LARGEST), _LARGEST) << BIAS_EXP),
+)
+"""What it adds to the potential."""
+_LARGEST = np.int32(BIAS_MANT_MAX)
 
 
 class OnLoihi(Spiking):
