@@ -228,13 +228,12 @@ def _run_states(gyro, accel, set_points, scaling, w, start, onset, states, out):
     n, samples = gyro.shape[0], gyro.shape[1] // 3
     vectors, gates = start.size, onset.size
     scales = Scaling(scaling[:6], scaling[6:])
+    ends = np.cumsum(np.array([MISSING + 1, 3 * vectors, 3, 3 * gates, 9, gates]))
+    _, xs, biases, es, smooth, us, begun = np.split(states, ends, axis=1)
     for c in range(n):
-        if states[c, -1] == 0:
-            states[c, -1] = 1
-            for m in range(vectors):
-                states[c, MISSING + 3 + 3 * m] = start[m]
-            for q in range(gates):
-                states[c, q - 1 - gates] = onset[q]
+        if begun[c, 0] == 0:
+            begun[c, 0] = 1
+            xs[c, 2::3], us[c] = start, onset
     for first in range(0, samples, CHUNK):
         steps = min(CHUNK, samples - first)
         angle, force = np.empty((steps, 3, n), F), np.empty((steps, 3, n), F)
@@ -245,41 +244,26 @@ def _run_states(gyro, accel, set_points, scaling, w, start, onset, states, out):
             np.empty((steps, FELT, n), F),
             np.empty((steps, gates, n), F),
         )
-        senses = Senses(np.empty((9, n), F), np.empty((gates, n), F))
-        at = MISSING + 1
-        of_bias, of_e = at + 3 * vectors, at + 3 * vectors + 3
-        felt = of_e + 3 * gates
         for c in range(n):
-            kept = states[c]
             for t in range(steps):
-                here = 3 * (first + t)
-                encode_sample(gyro[c, here : here + 3], accel[c, here : here + 3], scales, kept)
+                here = slice(3 * (first + t), 3 * (first + t) + 3)
+                encode_sample(gyro[c, here], accel[c, here], scales, states[c])
                 for i in range(3):
-                    angle[t, i, c] = kept[i] * F(2.0**-17)
-                    force[t, i, c] = kept[3 + i] * F(1 / INPUT_ONE)
-            for k in range(3 * vectors):
-                trace.x[0, k // 3, k % 3, c] = kept[at + k]
-            for i in range(3):
-                trace.bias[0, i, c] = kept[of_bias + i]
-            for k in range(3 * gates):
-                trace.e[0, k // 3, k % 3, c] = kept[of_e + k]
-            for k in range(9):
-                senses.smooth[k, c] = kept[felt + k]
-            for q in range(gates):
-                senses.u[q, c] = kept[felt + 9 + q]
+                    angle[t, i, c] = states[c, i] * F(2.0**-17)
+                    force[t, i, c] = states[c, 3 + i] * F(1 / INPUT_ONE)
+        senses = Senses(np.ascontiguousarray(smooth.T), np.ascontiguousarray(us.T))
+        kept = (
+            (xs, trace.x.reshape(steps + 1, 3 * vectors, n)),
+            (biases, trace.bias),
+            (es, trace.e.reshape(steps + 1, 3 * gates, n)),
+        )
+        for state, signal in kept:
+            signal[0] = state.T
         run_floats(angle, force, w, trace, senses)
+        for state, signal in kept:
+            state[:] = signal[steps].T
+        smooth[:], us[:] = senses.smooth.T, senses.u.T
         for c in range(n):
-            kept = states[c]
-            for k in range(3 * vectors):
-                kept[at + k] = trace.x[steps, k // 3, k % 3, c]
-            for i in range(3):
-                kept[of_bias + i] = trace.bias[steps, i, c]
-            for k in range(3 * gates):
-                kept[of_e + k] = trace.e[steps, k // 3, k % 3, c]
-            for k in range(9):
-                kept[felt + k] = senses.smooth[k, c]
-            for q in range(gates):
-                kept[felt + 9 + q] = senses.u[q, c]
             for t in range(steps):
                 for i in range(3):
                     out[c, 3 * (first + t) + i] = trace.x[t + 1, OUTPUT, i, c] - (i == 2)

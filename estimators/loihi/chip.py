@@ -10,9 +10,9 @@ with any neuron of its membrane's decay.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,64 +38,39 @@ ANY = -1
 """A current's decay that a compartment does not use."""
 
 
-class Neuron(NamedTuple):
-    """What a neuron takes on a core."""
-
-    profile: tuple[int, int]
-    """(du, dv)."""
-    threshold: int
-    """Its mantissa."""
-    synapses: tuple[Ints, Ints]
-    """Formats, counted by -exponent, and sources of the spikes that enter it."""
-
-
-@dataclass
+@dataclass(frozen=True)
 class ChipCore:
-    """The neurons of one core.
+    """The neurons of one core."""
 
-    Args:
-        sources: Number of sources of spikes in the whole network.
-    """
-
-    sources: int
-    neurons: dict[int, list[int]] = field(default_factory=dict)
+    neurons: dict[int, list[int]]
     """Layer to the neurons of that layer."""
-    profiles: frozenset[tuple[int, int]] = frozenset()
+    profiles: int
     """Distinct (du, dv)."""
-    thresholds: frozenset[int] = frozenset()
-    compartments: int = 0
+    thresholds: int
+    compartments: int
+    synapses: Ints
+    """Synapses of each source on this core, a row for each exponent of weights, from 0 down."""
     fan_out: int = 0
     """Axons to other cores or to itself."""
-
-    def __post_init__(self) -> None:
-        """Start without synapses."""
-        self.synapses = np.zeros((1 - WEIGHT_EXP_MIN, self.sources), np.int64)
-        """Synapses of each source on this core, a row for each exponent of weights, from 0 down."""
 
     def used(self) -> dict[str, int]:
         """How much of each limit is used."""
         return {
             "compartments": self.compartments,
-            "profiles": distinct_profiles(self.profiles),
-            "thresholds": len(self.thresholds),
+            "profiles": self.profiles,
+            "thresholds": self.thresholds,
             "synaptic formats": int(np.count_nonzero(self.synapses.any(1))),
             "fan-in axons": int(np.count_nonzero(self.synapses.any(0))),
             "fan-out axons": self.fan_out,
             "synaptic bits": sum(synaptic_bits(each, self.compartments) for each in self.synapses),
         }
 
-    def with_neuron(self, layer: int, number: int, neuron: Neuron) -> ChipCore:
-        """A core that holds one neuron more."""
-        core = ChipCore(
-            self.sources,
-            {**self.neurons, layer: [*self.neurons.get(layer, ()), number]},
-            self.profiles | {neuron.profile},
-            self.thresholds | {neuron.threshold},
-            self.compartments + 1,
-        )
-        core.synapses = self.synapses.copy()
-        np.add.at(core.synapses, neuron.synapses, 1)
-        return core
+    def excess(self) -> str:
+        """The first limit that is exceeded, and by how much; empty where it fits."""
+        for name, used in self.used().items():
+            if used > LIMITS[name]:
+                return f"{used} {name}, a core has {LIMITS[name]}: {used - LIMITS[name]} too many"
+        return ""
 
 
 def distinct_profiles(profiles: Iterable[tuple[int, int]]) -> int:
@@ -125,14 +100,6 @@ def synaptic_bits(synapses: Ints, compartments: int) -> int:
     return int(_WORD_BITS * np.sum(whole * words(_BLOCK) + np.where(rest > 0, words(rest), 0)))
 
 
-def excess(core: ChipCore) -> str:
-    """The first limit of a core that is exceeded, and by how much; empty where it fits."""
-    for name, used in core.used().items():
-        if used > LIMITS[name]:
-            return f"{used} {name}, a core has {LIMITS[name]}: {used - LIMITS[name]} too many"
-    return ""
-
-
 def partition(layers: Sequence[LoihiLayer]) -> list[ChipCore]:
     """Place a network: layer after layer, neurons of one profile together, a new core when the last is full.
 
@@ -146,29 +113,39 @@ def partition(layers: Sequence[LoihiLayer]) -> list[ChipCore]:
         ValueError: A limit of a core or of the chip is exceeded; the message says which, and by how much.
     """
     # sources of spikes as in the emulator: the network's input comes first
-    starts = np.cumsum([layers[0].w_in.shape[1], *(len(layer.w_in) for layer in layers)])
-    sources = int(starts[-1])
-    cores = [ChipCore(sources)]
-    for k, layer in enumerate(layers):
-        neurons = _neurons(layer, int(starts[k]))
-        for i in map(int, np.lexsort(decay_profiles(layer).T)):
-            grown = cores[-1].with_neuron(k, i, neurons[i])
-            if not excess(grown):
-                cores[-1] = grown
-                continue
-            cores.append(ChipCore(sources).with_neuron(k, i, neurons[i]))
-            if wrong := excess(cores[-1]):
-                raise ValueError(f"neuron {i} of layer {k}: {wrong}")
+    edges = np.cumsum([0, layers[0].w_in.shape[1], *(len(layer.w_in) for layer in layers)])
+    left, cores = _network(layers, edges), []
+    while len(left):
+        sizes = range(1, min(LIMITS["compartments"], len(left)) + 1)
+        fitting = bisect_left(sizes, True, key=lambda size: bool(_core(left[:size]).excess()))
+        core = _core(left[: max(fitting, 1)])
+        if wrong := core.excess():
+            raise ValueError(f"neuron {left[0]['number']} of layer {left[0]['layer']}: {wrong}")
+        cores.append(core)
+        left = left[fitting:]
     if len(cores) > CORES:
         raise ValueError(
             f"the network needs {len(cores)} cores, a chip has {CORES}: {len(cores) - CORES} too many"
         )
     reached = np.sum([core.synapses.any(0) for core in cores], axis=0)
     for number, core in enumerate(cores):
-        core.fan_out = sum(int(reached[starts[k] + np.array(each)].sum()) for k, each in core.neurons.items())
-        if wrong := excess(core):
+        fan_out = sum(int(reached[edges[k + 1] + np.array(each)].sum()) for k, each in core.neurons.items())
+        cores[number] = replace(core, fan_out=fan_out)
+        if wrong := cores[number].excess():
             raise ValueError(f"core {number}: {wrong}")
     return cores
+
+
+def _core(part: NDArray[np.void]) -> ChipCore:
+    """A core of some neurons of `_network`."""
+    synapses = [np.count_nonzero(part["formats"] == k, axis=0) for k in range(1, 2 - WEIGHT_EXP_MIN)]
+    return ChipCore(
+        {int(k): part["number"][part["layer"] == k].tolist() for k in np.unique(part["layer"])},
+        distinct_profiles(map(tuple, part["profile"].tolist())),
+        len(np.unique(part["threshold"])),
+        len(part),
+        np.stack(synapses),
+    )
 
 
 def decay_profiles(layer: LoihiLayer) -> Ints:
@@ -178,14 +155,21 @@ def decay_profiles(layer: LoihiLayer) -> Ints:
     return np.stack([layer.du if driven else np.full_like(dv, ANY), dv], axis=1)
 
 
-def _neurons(layer: LoihiLayer, start: int) -> list[Neuron]:
-    """What each neuron of a layer takes; `start` is the source that the first of them is."""
-    w_rec = np.zeros((len(layer.w_in), 0)) if layer.w_rec is None else layer.w_rec
-    formats = -np.stack([layer.exp_in, layer.exp_rec], 1)
-    neurons = []
-    for i, (du, dv) in enumerate(decay_profiles(layer)):
-        below = np.flatnonzero(layer.w_in[i]) + start - layer.w_in.shape[1]
-        entering = [below, np.flatnonzero(w_rec[i]) + start]
-        synapses = np.repeat(formats[i], list(map(len, entering))), np.concatenate(entering)
-        neurons.append(Neuron((int(du), int(dv)), int(layer.vth[i]), synapses))
-    return neurons
+def _network(layers: Sequence[LoihiLayer], edges: Ints) -> NDArray[np.void]:
+    """Records of all neurons, layer after layer, those of one profile together; `edges` are of the sources.
+
+    `formats` are those of the synapse from each source, counted by 1 - exponent; 0 for none.
+    """
+    fields = [("layer", int), ("number", int), ("profile", int, 2), ("threshold", int)]
+    every = []
+    for k, layer in enumerate(layers):
+        each = np.zeros(len(layer.w_in), [*fields, ("formats", np.int8, edges[-1])])
+        each["layer"], each["number"], each["threshold"] = k, np.arange(len(each)), layer.vth
+        each["profile"] = profiles = decay_profiles(layer)
+        below = slice(edges[k + 1] - layer.w_in.shape[1], edges[k + 1])
+        each["formats"][:, below] = (layer.w_in != 0) * (1 - layer.exp_in)[:, None]
+        if layer.w_rec is not None:
+            own = slice(edges[k + 1], edges[k + 2])
+            each["formats"][:, own] = (layer.w_rec != 0) * (1 - layer.exp_rec)[:, None]
+        every.append(each[np.lexsort(profiles.T)])
+    return np.concatenate(every)
