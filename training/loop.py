@@ -213,12 +213,6 @@ def _save_best(config: Config, learner: Training | CircuitLearner, epoch: Epoch,
     learner.save(out / "best.safetensors", about | progress | figures)
 
 
-def exported(model: AttSNN | AttRNN, rate_hz: float, note: dict[str, Any]) -> tuple[NetworkConfig, Tensors]:
-    """The network as it is run: its configuration and tensors for `save_network`."""
-    fields = {"rate_hz": rate_hz, "output_scale": model.output_scale, "training": note}
-    return model.network.model_copy(update=fields), model.tensors()
-
-
 class Training:
     """A network of layers that learns a task, and its optimiser."""
 
@@ -236,7 +230,8 @@ class Training:
     def exported(self, note: dict[str, Any] | None = None) -> tuple[NetworkConfig, Tensors]:
         """The slow weights as an estimator, or a controller, runs them."""
         with self.optimiser.evaluated():
-            return exported(self.model, self.task.rate_hz, note or {})
+            fields = {"rate_hz": self.task.rate_hz, "training": note or {}}
+            return self.model.network.model_copy(update=fields), self.model.tensors()
 
     def one_epoch(self, number: int) -> Epoch:
         """Train for an epoch, counted from 0, and validate the slow weights."""

@@ -184,8 +184,6 @@ class AttSNN(nn.Module):
 class AttRNN(nn.Module):
     """The non-spiking twin: two GRU layers and a linear output: roll and pitch, Euler angles."""
 
-    output_scale = 1.0
-
     def __init__(self, config: TrainConfig) -> None:
         """Build with PyTorch's own initial weights."""
         super().__init__()

@@ -140,15 +140,6 @@ def test_a_checkpoint_of_another_version_is_refused_in_one_line(dataset, tmp_pat
             train(**choices)
 
 
-def test_ctrl_c_keeps_the_best_weights(dataset, tmp_path):
-    def interrupt(epoch, config):
-        raise KeyboardInterrupt
-
-    result = train(data=dataset, out=tmp_path, progress=interrupt, **TINY)
-    assert result.reason == "interrupted"
-    assert result.weights.is_file()
-
-
 def test_a_loss_that_is_not_a_number_stops_the_run(dataset, tmp_path, monkeypatch):
     monkeypatch.setattr(loop, "error_loss", lambda estimate, *_: estimate.sum() * float("nan"))
     with pytest.raises(ValueError, match="the loss is nan at epoch 0, update 0"):
@@ -239,9 +230,7 @@ def begun(dataset):
 
 def chip_of(training):
     """The network so far on the emulated chip."""
-    with torch.no_grad():
-        network, tensors = loop.exported(training.model, 200.0, {})
-    return NetworkEstimator(OnLoihi(network, tensors), 200.0)
+    return NetworkEstimator(OnLoihi(*training.exported()), 200.0)
 
 
 def test_the_trainers_forward_pass_is_the_chips(begun):

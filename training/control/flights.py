@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from functools import partial
 
 import numpy as np
@@ -42,6 +42,7 @@ OBSERVED_S = 0.4
 PART_S = 0.5
 """Time after which another may fly [s]."""
 SIGNALS = ("gyro", "accel", "set_point", "target")
+RATE_HZ = 200.0
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,6 @@ class ControlFlights:
     """Valid samples (n,): all, or those before a crash."""
     error_deg: Array
     """Root mean square over a flight of the angle between the thrust axes commanded and true, (n,) [deg]."""
-    rate_hz: float
 
     def __len__(self) -> int:
         """Number of flights."""
@@ -74,9 +74,7 @@ class ControlFlights:
 
 def joined(parts: Sequence[ControlFlights]) -> ControlFlights:
     """All flights of several sets of equal length."""
-    names = (*SIGNALS, "end", "error_deg")
-    whole = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    return ControlFlights(**whole, rate_hz=parts[0].rate_hz)
+    return ControlFlights(*(np.concatenate(each) for each in zip(*map(astuple, parts), strict=True)))
 
 
 @njit(cache=True)
@@ -185,7 +183,6 @@ def fly(
     seeds: Sequence[np.random.SeedSequence],
     student: SpikingController | None = None,
     teacher_share: float = 0.0,
-    rate_hz: float = 200.0,
     excitation: Excitation = STANDARD,
 ) -> ControlFlights:
     """Fly, and label by the teacher.
@@ -196,38 +193,37 @@ def fly(
         seeds: One for each flight.
         student: Who flies; None: the teacher.
         teacher_share: Share of the time at which the teacher flies all the same.
-        rate_hz: Samples per second.
         excitation: What is added to the flights.
     """
-    n, steps = len(seeds), round(config.flight_s * rate_hz)
+    n, steps = len(seeds), round(config.flight_s * RATE_HZ)
     draws = [np.random.default_rng(child(seed, EXCITATION)) for seed in seeds]
     motion, air = ([child(seed, part) for seed in seeds] for part in (MOTION, AIR))
-    plans = planned(flights.trajectory, flights.wind, steps, rate_hz, motion, air)
+    plans = planned(flights.trajectory, flights.wind, steps, RATE_HZ, motion, air)
     draw = partial(randomise, flights.vehicle, flights.randomisation)
-    added, size = excitation, np.stack([rng.uniform() ** 2 for rng in draws])[:, None]
-    added_motion = [set_point_excitation(added, steps, rate_hz, rng) for rng in draws]
+    size = np.stack([rng.uniform() ** 2 for rng in draws])[:, None]
+    added_motion = [set_point_excitation(excitation, steps, RATE_HZ, rng) for rng in draws]
     pilot = Pilot(
         steps,
         size[:, None] * np.stack([each.jumps for each in added_motion]),
         size[:, None] * np.stack([each.chirps for each in added_motion]),
-        size[:, None] * np.stack([torque_excitation(added, steps, rate_hz, rng) for rng in draws]),
+        size[:, None] * np.stack([torque_excitation(excitation, steps, RATE_HZ, rng) for rng in draws]),
         student,
-        np.stack([_turns(1.0 - teacher_share, steps, rate_hz, rng) for rng in draws]),
+        np.stack([_turns(1.0 - teacher_share, steps, rng) for rng in draws]),
         config,
     )
     loop = FlightLoop(
         [draw(np.random.default_rng(child(seed, BODY))) for seed in seeds],
         n,
-        rate_hz=rate_hz,
+        rate_hz=RATE_HZ,
         imu=flights.imu,
         seed=[child(seed, IMU) for seed in seeds],
         nominal=flights.vehicle,
         controller=lambda rate_hz, vehicle: pilot,
     )
-    effect = np.stack([rotor_effect(added, len(flights.vehicle.rotors), rng) for rng in draws])
+    effect = np.stack([rotor_effect(excitation, len(flights.vehicle.rotors), rng) for rng in draws])
     pilot.attach(loop)
     tilts = np.stack([rng.uniform(-1.0, 1.0, 3) for rng in draws])
-    tilts = math.radians(added.start_tilt_deg) * size * tilts * [1.0, 1.0, 0.0] / math.sqrt(2.0)
+    tilts = math.radians(excitation.start_tilt_deg) * size * tilts * [1.0, 1.0, 0.0] / math.sqrt(2.0)
     first = plans["target"][:, 0]
     heading = quat_from_euler(0.0, 0.0, first["yaw"])
     loop.reset(first["position"], first["velocity"], quat_multiply(heading, quat_from_rotvec(tilts)))
@@ -244,7 +240,7 @@ def fly(
             loop.reset(target["position"][down], target["velocity"][down], ids=down)
         loop.sense()
     error_deg = np.degrees(np.sqrt(squares / np.maximum(end, 1)))
-    return ControlFlights(**pilot.log, end=end, error_deg=error_deg, rate_hz=rate_hz)
+    return ControlFlights(**pilot.log, end=end, error_deg=error_deg)
 
 
 def _down(loop: FlightLoop, target: NDArray[np.void]) -> NDArray[np.int64]:
@@ -259,9 +255,8 @@ def _down(loop: FlightLoop, target: NDArray[np.void]) -> NDArray[np.int64]:
 
 def thrust_axis_error(set_point: Array, quat: Array, yaw: Array) -> Array:
     """Angle between the thrust axes of set-points (n, 4) and of attitudes (n, 4), (n,) [rad]."""
-    wanted = quat_from_euler(set_point[:, 0], set_point[:, 1], yaw)
-    axes = [thrust_axis(each) for each in (wanted, quat)]
-    return np.arccos(np.clip(np.sum(axes[0] * axes[1], axis=1), -1.0, 1.0))
+    wanted = thrust_axis(quat_from_euler(set_point[:, 0], set_point[:, 1], yaw))
+    return np.arccos(np.clip(np.sum(wanted * thrust_axis(quat), axis=1), -1.0, 1.0))
 
 
 def thrust_axis(quat: Array) -> Array:
@@ -270,7 +265,7 @@ def thrust_axis(quat: Array) -> Array:
     return np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=1)
 
 
-def _turns(share: float, steps: int, rate_hz: float, rng: np.random.Generator) -> NDArray[np.bool_]:
+def _turns(share: float, steps: int, rng: np.random.Generator) -> NDArray[np.bool_]:
     """Samples (steps,) at which one flies that flies a share of the time."""
-    length = max(1, round(PART_S * rate_hz))
+    length = max(1, round(PART_S * RATE_HZ))
     return np.repeat(rng.random(-(-steps // length)) < share, length)[:steps]

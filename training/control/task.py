@@ -21,7 +21,7 @@ from ..config import TrainConfig
 from ..data import Batch, network_inputs
 from ..init import initialise_controller
 from ..models import AttSNN
-from .flights import SIGNALS, ControlFlights, fly, joined
+from .flights import RATE_HZ, SIGNALS, ControlFlights, fly, joined
 
 if TYPE_CHECKING:
     from ..loop import Student
@@ -44,7 +44,7 @@ class ControlTask:
         out: Its folder, where the flights of each round are kept.
     """
 
-    rate_hz = 200.0
+    rate_hz = RATE_HZ
 
     def __init__(self, config: TrainConfig, out: Path) -> None:
         self.config, self.out = config, out
@@ -169,5 +169,4 @@ def save_flights(file: Path, flights: ControlFlights) -> None:
 def read_flights(file: Path) -> ControlFlights:
     """Read what `save_flights` wrote."""
     with np.load(file, allow_pickle=False) as stored:
-        arrays = {name: stored[name] for name in (*SIGNALS, "end", "error_deg")}
-        return ControlFlights(**arrays, rate_hz=float(stored["rate_hz"]))
+        return ControlFlights(**stored)
