@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from controllers import samples
 
 from estimators import create
 from estimators.circuit.chip import place, populations
@@ -34,11 +35,6 @@ LEVEL = np.array([0.0, 0.0, 1.0])
 def inclination_deg(estimate, up):
     cosine = (estimate * up).sum(-1) / (np.linalg.norm(estimate, axis=-1) * np.linalg.norm(up, axis=-1))
     return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
-
-
-def random_readings(n, steps, seed=0, rate=3.0, force=4.0):
-    rng = np.random.default_rng(seed)
-    return rng.normal(0, rate, (n, steps, 3)), rng.normal([0, 0, 9.8], force, (n, steps, 3))
 
 
 def turning(steps, seconds_before_turn=0.0, axis=(1.0, 2.0, 0.5), speed=2.0):
@@ -126,7 +122,7 @@ def test_learning_the_gyroscopes_bias_takes_most_of_its_error_away(name):
 
 def test_a_quarter_turn_of_the_body_turns_the_estimate():
     p = untrained(6, 16, seed=3, spread=1.0)
-    gyro, accel = random_readings(1, 200)
+    gyro, accel = samples(1, 200, 0, 3.0, 4.0)
     quarter = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
     straight = circuit_estimator("att-rnn", p).outputs(gyro, accel)
     turned = circuit_estimator("att-rnn", p).outputs(gyro @ quarter.T, accel @ quarter.T)
@@ -249,7 +245,7 @@ def test_the_kernel_is_the_circuit_neuron_by_neuron(steps):
     circuit = quantised(p, steps)
     est = NetworkEstimator(SpikingCircuit(SCALING, circuit, 1, steps, p.scale[1]), RATE_HZ)
     plain = PlainCircuit(circuit, steps)
-    gyro, accel = random_readings(1, 150, 5)
+    gyro, accel = samples(1, 150, 5, 3.0, 4.0)
     gyro[0, 60:80], accel[0, 100:110] = 30.0, 150.0  # more than the encoders can say at once
     spikes = 0
     for t in range(150):
@@ -300,25 +296,6 @@ def test_the_network_that_ships_fits_one_chip():
 # --- as an estimator ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", [*NAMES, "att-snn-loihi"])
-def test_copies_do_not_depend_on_each_other_nor_on_how_samples_come(name):
-    gyro, accel = random_readings(5, 700)
-    gyro[1, 50:90] = np.nan
-    est = create(name, weights=SHIPPED)
-    est.reset(5)
-    together = est.sequence(gyro, accel)
-    est.reset(5)
-    one_by_one = np.stack([est.update(gyro[:, t], accel[:, t]) for t in range(700)], 1)
-    est.reset(1)
-    alone = est.sequence(gyro[2:3], accel[2:3])
-    np.testing.assert_array_equal(one_by_one, together)
-    np.testing.assert_array_equal(alone[0], together[2])
-    est.reset(5)
-    est.sequence(gyro[:, :300], accel[:, :300])
-    est.restart([2])
-    np.testing.assert_array_equal(est.sequence(gyro[:, :300], accel[:, :300])[2], together[2, :300])
-
-
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory):
     from quadsim.dataset import generate, open_dataset
@@ -366,7 +343,7 @@ def test_an_absurd_sample_is_refused_and_half_a_second_without_samples_is_forgot
 
 def test_a_silent_output_is_level():
     est = NetworkEstimator(Level(), RATE_HZ)
-    gyro, accel = random_readings(2, 50)
+    gyro, accel = samples(2, 50)
     gyro[0, 3] = np.nan
     est.reset(2)
     assert not est.sequence(gyro, accel).any()
@@ -400,7 +377,7 @@ def test_a_file_is_read_back_and_the_same_bytes(tmp_path):
         np.testing.assert_array_equal(ours, theirs)
     assert is_circuit(tmp_path / "0.safetensors")
     assert not is_circuit("att-snn-paper")
-    gyro, accel = random_readings(1, 20)
+    gyro, accel = samples(1, 20)
     assert create(str(tmp_path / "0.safetensors")).sequence(gyro, accel).shape == (1, 20, 2)
 
 
@@ -468,7 +445,7 @@ def plain_floats(p: Parameters, gyro, accel):
 def test_floats_are_the_equations(faster):
     p = untrained(5, 11, seed=2, spread=3.0)
     p = p._replace(learn=faster * p.learn)
-    gyro, accel = random_readings(2, 300, 3)
+    gyro, accel = samples(2, 300, 3, 3.0, 4.0)
     trace, senses = new_trace(p, 300, 2)
     angle, force = (
         np.ascontiguousarray(each.transpose(1, 2, 0), np.float32)

@@ -9,15 +9,12 @@ from scipy.spatial.transform import Rotation
 
 from estimators import create, names
 from estimators.analysis.activity import record
-from estimators.analysis.energy import host_operations
 from estimators.control import SpikingController, create_controller
 from estimators.control.controller import THRUST_MAX, follow, gravity_of
 from estimators.networks.forward import OnLoihi
 from estimators.networks.network import silenced
 from estimators.networks.weights_file import (
     NetworkConfig,
-    expected_shapes,
-    load_network,
     save_network,
     shipped_controllers,
     shipped_names,
@@ -36,22 +33,6 @@ def stream(controller, wanted, gyro, accel, roll_pitch):
     controller.reset(len(gyro))
     samples = (each.swapaxes(0, 1) for each in (wanted, gyro, accel, roll_pitch))
     return np.stack([controller.update(*each) for each in zip(*samples, strict=True)], 1)
-
-
-def test_a_controller_has_nine_inputs_and_three_outputs():
-    shapes = expected_shapes(CONFIG)
-    assert (shapes["w_in"], shapes["w_out"]) == ((10, 9), (3, 12))
-
-
-def test_a_file_returns_what_was_saved(file):
-    config, tensors = load_network(file)
-    assert config == CONFIG
-    assert all(np.array_equal(tensors[name], value) for name, value in random_tensors().items())
-
-
-def test_a_file_of_an_attitude_network_does_not_mention_set_points(tmp_path):
-    save_network(tmp_path / "a.safetensors", *load_network("att-snn-paper"))
-    assert b"set_point" not in (tmp_path / "a.safetensors").read_bytes()
 
 
 def test_samples_one_by_one_as_a_sequence_alone_and_on_the_chip_give_the_same_numbers(file):
@@ -99,10 +80,6 @@ def test_activity_on_the_chip_ends_with_the_outputs_of_the_controller():
     plain.reset(2)
     out = plain.sequence(wanted, gyro, accel)[..., :3]
     assert np.array_equal(np.clip(activity.estimate, -30.0, 30.0), out)
-
-
-def test_the_host_multiplies_nine_inputs_for_each_encoding_neuron():
-    assert list(host_operations(CONFIG).values()) == [9, 100]
 
 
 def outputs_of(*signals):

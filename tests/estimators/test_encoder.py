@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from controllers import samples
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -11,11 +12,6 @@ from estimators.sanitise import FORCE_MAX, RATE_MAX
 SCALINGS = (InputScaling(), PAPER_SCALING)
 READINGS = arrays(np.float64, (1, 8, 3), elements=st.floats(-1e6, 1e6) | st.just(np.nan) | st.just(np.inf))
 GOOD = arrays(np.float64, (1, 1, 3), elements=st.floats(0.1, 20.0))
-
-
-def samples(n, steps, seed=0):
-    rng = np.random.default_rng(seed)
-    return rng.normal(0, 1, (n, steps, 3)), rng.normal([0, 0, 9.8], 0.5, (n, steps, 3))
 
 
 @pytest.mark.parametrize("inputs", SCALINGS)

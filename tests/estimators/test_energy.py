@@ -1,6 +1,8 @@
 import numpy as np
 import pytest
+from controllers import CONFIG
 
+from estimators.analysis.ablation import ablation, error_deg, pruned, without
 from estimators.analysis.activity import record
 from estimators.analysis.energy import (
     PICOJOULES,
@@ -11,41 +13,52 @@ from estimators.analysis.energy import (
     snn_flops,
     synapses,
 )
+from estimators.analysis.manipulation import responses
+from estimators.evaluation.flights import load_flights
 from estimators.networks.forward import OnLoihi
-from estimators.networks.network import create_network
+from estimators.networks.network import NetworkEstimator, Spiking
 from estimators.networks.weights_file import load_network
 
 
 @pytest.fixture(scope="module")
 def network():
-    return OnLoihi(*load_network("att-snn-paper"))
+    return load_network("att-snn-paper")
 
 
 @pytest.fixture(scope="module")
-def activity(network, flights):
-    return record(network, flights["gyro"].to_numpy()[:2, :2000], flights["accel"].to_numpy()[:2, :2000])
+def core(network):
+    return OnLoihi(*network)
 
 
-def test_what_is_recorded_is_what_flies(network, activity, flights):
-    est = create_network("att-snn-loihi", weights="att-snn-paper")
+@pytest.fixture(scope="module")
+def seen(flights):
+    return load_flights([flights], 2)
+
+
+@pytest.fixture(scope="module")
+def activity(core, seen):
+    return record(core, seen.gyro, seen.accel)
+
+
+def test_what_is_recorded_is_what_flies(core, activity, seen):
+    est = NetworkEstimator(core, 200.0)
     est.reset(2)
-    gyro, accel = (flights[name].to_numpy()[:2, :2000] for name in ("gyro", "accel"))
-    np.testing.assert_array_equal(activity.estimate, est.sequence(gyro, accel))
+    np.testing.assert_array_equal(activity.estimate, est.sequence(seen.gyro, seen.accel))
     assert activity.of_layer(activity.rates, 2).max() == 0.0
 
 
-def test_events_are_spikes_times_the_weights_that_they_meet(network, activity):
-    config, tensors = load_network("att-snn-paper")
+def test_events_are_spikes_times_the_weights_that_they_meet(network, core, activity):
+    config, tensors = network
     neurons = config.encoding + config.hidden + 2
     encoding, hidden = (activity.of_layer(activity.spikes, k).astype(int) for k in (0, 1))
     events = (encoding @ (tensors["w_ff"] != 0).T.sum(1)).sum()
     of_hidden = ("w_rec", "w_out")
     events += (hidden @ sum((tensors[name] != 0).sum(0) for name in of_hidden)).sum()
-    counted = counts(network, activity)
+    counted = counts(core, activity)
     assert counted["synaptic event"] == pytest.approx(events / activity.steps)
     assert counted["active neuron update"] + counted["inactive neuron update"] == pytest.approx(neurons)
     stored = sum(np.count_nonzero(tensors[name]) for name in ("w_ff", "w_rec", "w_out"))
-    assert synapses(network.cores, neurons).sum() == stored
+    assert synapses(core.cores, neurons).sum() == stored
 
 
 def test_the_modelled_energy_is_that_of_davies_2018():
@@ -56,8 +69,8 @@ def test_the_modelled_energy_is_that_of_davies_2018():
     )
 
 
-def test_shares_are_what_a_wrong_coefficient_does_to_the_sum(network, activity, monkeypatch):
-    counted = counts(network, activity)
+def test_shares_are_what_a_wrong_coefficient_does_to_the_sum(core, activity, monkeypatch):
+    counted = counts(core, activity)
     before = costs(counted)
     total = sum(line.nanojoules for line in before)
     assert sum(line.share for line in before) == pytest.approx(1.0)
@@ -74,9 +87,43 @@ def test_flops_by_hand():
     assert snn_flops(1, 1, (0.5, 0.0))["dense"] == 12 + 18 + 2 * 4
 
 
-def test_the_host_scales_six_readings_and_drives_each_encoding_neuron():
-    config, _ = load_network("att-snn-paper")
-    one = host_operations(config.model_copy(update={"encoding": 1}))
-    assert list(one.values()) == [6, 6 + 1]
-    more = host_operations(config.model_copy(update={"encoding": 50}))
-    assert list(more.values()) == [6, 50 * 7]
+def test_the_host_scales_all_inputs_and_drives_each_encoding_neuron(network):
+    assert list(host_operations(CONFIG).values()) == [9, 10 * 10]
+    for neurons in (1, 50):
+        config = network.config.model_copy(update={"encoding": neurons})
+        assert list(host_operations(config).values()) == [6, neurons * 7]
+
+
+def test_neurons_that_never_spike_can_go_without_a_trace(network, seen, activity):
+    rates = [activity.of_layer(activity.rates, k) for k in (0, 1)]
+    smaller = without(*network, [np.flatnonzero(rate) for rate in rates])
+    assert smaller[0].encoding + smaller[0].hidden < network[0].encoding + network[0].hidden
+    again = record(OnLoihi(*smaller), seen.gyro, seen.accel)
+    np.testing.assert_array_equal(again.estimate, activity.estimate)
+
+
+def test_the_least_important_go_first_and_the_curve_starts_at_the_whole(network, seen, activity):
+    values = [activity.of_layer(activity.rates, k) for k in (0, 1)]
+    config, tensors = pruned(*network, values, 0.3)
+    left = (config.encoding + config.hidden) / (network[0].encoding + network[0].hidden)
+    assert left == pytest.approx(0.7, abs=0.005)
+    assert tensors["w_ff"].shape == (config.hidden, config.encoding)
+    curve = ablation(*network, values, (0.0, 0.9), seen)
+    assert curve[0] == error_deg(*network, seen)
+    assert curve[1] > 1.5 * curve[0]
+    values = np.random.default_rng(0).random(200)
+    _, tensors = pruned(*network, [values[:100], values[100:]], 0.3)
+    kept = np.argsort(-values)[:140]
+    np.testing.assert_array_equal(tensors["mem1"], network[1]["mem1"][np.sort(kept[kept >= 100]) - 100])
+
+
+def test_a_fraction_of_all_neurons_is_refused(network):
+    with pytest.raises(ValueError, match=r"fraction: 1.0, should be in \[0, 1\)"):
+        pruned(*network, [np.ones(100), np.ones(100)], 1.0)
+
+
+def test_without_its_gyroscope_a_network_does_not_follow(network, seen):
+    est = NetworkEstimator(Spiking(*network), 200.0)
+    found = responses(est, seen)
+    assert found["gyro removed"].fast_gain < 0.3 < 0.7 < found["intact"].fast_gain
+    assert found["accel zero"].error_deg != found["accel removed"].error_deg  # the input of rest is not 0

@@ -48,3 +48,9 @@ def readings(n, steps, seed=1):
     wanted = rng.normal(size=(n, steps, 4)) * [0.3, 0.3, 1.0, 2.0] + [0, 0, 0, GRAVITY]
     gyro, accel = rng.normal(size=(2, n, steps, 3))
     return wanted, gyro, accel + np.array([0, 0, GRAVITY])
+
+
+def samples(n, steps, seed=0, rate=1.0, force=0.5):
+    """Readings (n, T, 3) twice, white about rest with these deviations [rad/s, m/s²]."""
+    rng = np.random.default_rng(seed)
+    return rng.normal(0, rate, (n, steps, 3)), rng.normal([0, 0, 9.8], force, (n, steps, 3))

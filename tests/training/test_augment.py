@@ -30,32 +30,21 @@ def test_noise_has_the_density_that_is_asked_for():
         np.testing.assert_allclose(signal.mean(1).std(), bias, rtol=0.3)
 
 
-def test_an_imu_off_the_centre_on_a_turntable_feels_the_centripetal_force():
-    rate, force = np.zeros((200, 50, 3)), np.zeros((200, 50, 3))
-    rate[..., 2] = 4.0
-    quiet = Augmentation(gyro_noise=0, accel_noise=0, accel_bias=0, lever_arm_max=0.1)
-    _, accel, _ = augment(rate, force, force, quiet, 200.0, np.random.default_rng(0))
-    arm = accel[..., :2] / -(4.0**2)
-    assert 0.09 < np.abs(arm).max() < 0.1
-    assert 0.3 < (arm != 0).any((1, 2)).mean() < 0.7
-    np.testing.assert_allclose(accel[..., 2], 0)
-    np.testing.assert_allclose(accel, accel[:, :1] * np.ones((1, 50, 1)))
-
-
 def test_an_imu_off_the_centre_feels_what_the_simulators_imu_feels():
     """Spins about z and x tell the arm; then any rate that grows evenly, ω̇ × r + ω × (ω × r)."""
     quiet = Augmentation(gyro_noise=0, accel_noise=0, accel_bias=0, lever_arm_max=0.1)
 
     def felt(rate):
-        rates = np.broadcast_to(rate, (6, 20, 3))
+        rates = np.broadcast_to(rate, (200, 20, 3))
         return augment(rates, 0 * rates, 0 * rates, quiet, 200.0, np.random.default_rng(1))[1]
 
     about_z, about_x = (felt(spin)[:, 0] / -(4.0**2) for spin in ([0.0, 0.0, 4.0], [4.0, 0.0, 0.0]))
     arms = np.column_stack([about_z[:, :2], about_x[:, 2]])
-    assert arms.any(1).sum() >= 2
+    assert 0.3 < arms.any(1).mean() < 0.7
+    assert 0.09 < np.abs(arms).max() < 0.1
     turn = np.array([30.0, -20.0, 50.0])
     rate = np.array([1.0, 2.0, -3.0]) + turn * np.arange(20)[:, None] / 200.0
-    for arm, accel in zip(arms, felt(rate), strict=True):
+    for arm, accel in zip(arms[:6], felt(rate), strict=False):
         spec, ang_acc = ImuSpec(lever_arm=tuple(arm)), np.broadcast_to(turn, (1, 20, 3))
         _, expected = simulate_imu(spec, rate[None], 0 * rate[None], 200.0, seed=0, ang_acc=ang_acc)
         np.testing.assert_allclose(accel[1:], expected[0, 1:], atol=1e-12)

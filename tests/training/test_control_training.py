@@ -176,20 +176,3 @@ def test_a_run_that_was_stopped_ends_with_the_same_weights_which_fly(recipe, tmp
     flights = fly(SETTINGS, recipe, seeds(2), controller)
     assert np.linalg.norm(flights.accel, axis=-1) == pytest.approx(GRAVITY, rel=1e-5)
     assert load_network(whole.weights)[0].training["training_flights"] == 5
-
-
-@pytest.mark.parametrize(
-    ("choices", "reason"),
-    [
-        ({"quantised": False}, "is trained quantised"),
-        ({"data": "x.zarr"}, "leave out data"),
-        ({"control": {"rounds": 60}}, "should be at least the rounds"),
-        ({"control": {"flight_s": 1.0}}, r"should be at most control\.flight_s"),
-        ({"control": {"flghts": 3}}, 'did you mean "flights"'),
-        ({"control": {"teacher_share": 2.0}}, r"control\.teacher_share"),
-    ],
-)
-def test_bad_choices_are_refused_in_one_line(choices, reason):
-    with pytest.raises(ValueError, match=reason) as error:
-        make_config("control-attitude", **choices)
-    assert "\n" not in str(error.value)

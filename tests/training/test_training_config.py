@@ -4,6 +4,8 @@ from quadsim.cli.options import fields_of
 from quadsim.config.toml import load_toml, preset_names
 from training.config import CircuitRun, TrainConfig, TrainingRecipe, is_of_circuit, make_config
 
+CONTROL, CIRCUIT = {"preset": "control-attitude", "data": ()}, {"preset": "att-snn"}
+
 
 @pytest.mark.parametrize(
     ("choices", "message"),
@@ -25,6 +27,16 @@ from training.config import CircuitRun, TrainConfig, TrainingRecipe, is_of_circu
         ({"augmentation": {"accel_noise": -1}}, r"augmentation\.accel_noise = -1"),
         ({"gyro_noise": 0.5}, r'did you mean "augmentation\.gyro_noise"'),
         ({"model": "att-rnn", "hidden": 4}, r"att-rnn: layers of 100 and 4 units, should be equal"),
+        (CONTROL | {"quantised": False}, "is trained quantised"),
+        ({"preset": "control-attitude"}, "leave out data"),
+        (CONTROL | {"control": {"rounds": 60}}, "should be at least the rounds"),
+        (CONTROL | {"control": {"flight_s": 1.0}}, r"should be at most control\.flight_s"),
+        (CONTROL | {"control": {"flghts": 3}}, 'did you mean "flights"'),
+        (CONTROL | {"control": {"teacher_share": 2.0}}, r"control\.teacher_share"),
+        (CIRCUIT | {"data": ()}, "data: at least one dataset to train on is required"),
+        (CIRCUIT | {"gates": 2}, "gates = 2: should be 8 to 256"),
+        (CIRCUIT | {"epochs": 3}, "--epochs is not for the circuit of att-snn"),
+        (CIRCUIT | {"model": "att-rnn"}, "--model is not for the circuit of att-snn"),
     ],
 )
 def test_bad_choices_give_one_clear_line(choices, message):
