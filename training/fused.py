@@ -25,20 +25,18 @@ class Workspace:
     """The buffers of windows of `steps` samples of n sequences, and the state between two windows."""
 
     def __init__(self, steps: int, n: int, weights: Weights[Tensor], threads: int) -> None:
-        """Allocate the buffers, of the sizes and the floating type of the weights."""
         self.dtype = weights.w_ff.detach().numpy().dtype
         edges = np.linspace(0, n, min(threads, n) + 1).astype(int)
         self.parts = [slice(lo, hi) for lo, hi in pairwise(edges)]
         self.sizes = len(weights.w_in), len(weights.w_ff), len(weights.w_out)
-        self.traces = [
-            Trace.empty(steps, part.stop - part.start, self.sizes, self.dtype) for part in self.parts
-        ]
+        sizes = (part.stop - part.start for part in self.parts)
+        self.traces = [Trace.empty(steps, size, self.sizes, self.dtype) for size in sizes]
         self.places = np.array(self.sizes[:2]) * n * steps  # where spikes can be
         self.runs = 0
 
     def each(self, function) -> list:
         """Call `function(part, trace)` for every part of the batch, in threads where there are several."""
-        if len(self.parts) == 1:
+        if len(self.parts) == 1:  # a thread would cost more than it saves
             return [function(self.parts[0], self.traces[0])]
         with ThreadPoolExecutor(len(self.parts)) as pool:
             return list(pool.map(function, self.parts, self.traces))
@@ -78,9 +76,8 @@ class _Fused(torch.autograd.Function):
         if space.runs != ctx.run:
             raise RuntimeError("the workspace has run another window since this one: its trace is gone")
         h0, h1, outputs = space.sizes
-        constants = np.array(
-            [THRESHOLD, SURROGATE_WIDTH, 1.0, 0.0, *grads[1].numpy() / space.places], space.dtype
-        )
+        constants = [THRESHOLD, SURROGATE_WIDTH, 1.0, 0.0, *grads[1].numpy() / space.places]
+        constants = tuple(np.array(constants, space.dtype))
 
         def run(part: slice, trace: Trace) -> Gradients:
             n = part.stop - part.start
@@ -91,7 +88,9 @@ class _Fused(torch.autograd.Function):
                 np.ascontiguousarray(each[part].transpose(1, 0, 2), space.dtype)
                 for each in (ctx.x, grads[0].numpy())
             )
-            backward_window(window, of_output, weights, trace, gradients, tuple(constants))
+            backward_window(
+                window, of_output, weights, trace, gradients, tuple(np.array(constants, space.dtype))
+            )
             return gradients._replace(syn=gradients.syn.sum(0), mem=gradients.mem.sum(0))
 
         total, *others = space.each(run)
@@ -123,7 +122,6 @@ class Fused:
     """
 
     def __init__(self, quantised: bool = True, recurrent_delay: int = 1, threads: int = 1) -> None:
-        """Start without buffers; each shape of a window gets its own."""
         self.quantised, self.recurrent_delay, self.threads = quantised, recurrent_delay, threads
         self._spaces: dict[tuple[int, int], Workspace] = {}
 

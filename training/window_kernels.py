@@ -94,31 +94,6 @@ class Gradients(NamedTuple):
     outputs: Floats  #: syn and mem of the outputs, (2,)
 
 
-class LayerGradients(NamedTuple):
-    """Gradients of a sequence's neurons, all of shape (h,)."""
-
-    ds: Floats
-    dv: Floats
-    du: Floats  #: of the currents
-    syn: Floats  #: of syn, summed over the steps
-    mem: Floats  #: of mem, summed over the steps
-
-
-@njit(inline="always", error_model="numpy", fastmath={"contract"})
-def _step_back(v, before, current, syn, mem, layer, constants):
-    """Gradients of currents and potentials, from those of the spikes and of the next step."""
-    threshold, width, one, zero, _, _ = constants
-    ds, dv, du, sum_syn, sum_mem = layer
-    for i in range(ds.shape[0]):
-        start = before[i] if before[i] <= threshold else zero
-        slope = one + width * abs(v[i] - threshold)
-        d = (zero if v[i] > threshold else mem[i] * dv[i]) + ds[i] / (slope * slope)
-        dv[i] = d
-        du[i] = d + syn[i] * du[i]
-        sum_mem[i] += d * start
-        sum_syn[i] += du[i] * current[i]
-
-
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def backward_window(x, grad, weights, trace, gradients, constants):
     """Add the gradients of a window.
@@ -132,6 +107,7 @@ def backward_window(x, grad, weights, trace, gradients, constants):
         constants: Threshold, surrogate width, 1.0, 0.0, and the gradient of every spike of the encoding
             and of the hidden layer, in the floating type of the computation.
     """
+    threshold, width, one, zero, of_encoding, of_hidden_spike = constants
     steps, n, outputs = grad.shape
     h1, h0 = weights.w_ff.shape
     both, u, v, spikes, number, w_out = h0 + h1, trace.u, trace.v, trace.spikes, grad.dtype, weights.w_out
@@ -144,9 +120,9 @@ def backward_window(x, grad, weights, trace, gradients, constants):
         for b in range(n):
             delivered, of_hidden = (down_before if later else down)[b, h0:], ds[b, h0:]
             for i in range(h0):
-                ds[b, i] = down[b, i] + constants[4]
+                ds[b, i] = down[b, i] + of_encoding
             for i in range(h1):
-                of_hidden[i] = delivered[i] + constants[5]
+                of_hidden[i] = delivered[i] + of_hidden_spike
             for o in range(outputs):
                 d = du[b, both + o]
                 for i in range(h1):
@@ -157,8 +133,16 @@ def backward_window(x, grad, weights, trace, gradients, constants):
                 du[b, k] = dv[b, k] + syn2 * du[b, k]
                 gradients.outputs[0] += du[b, k] * u[t, b, k]
                 gradients.outputs[1] += dv[b, k] * v[t + 1, b, k]
-            layer = LayerGradients(ds[b], dv[b], du[b], gradients.syn[b], gradients.mem[b])
-            _step_back(v[t + 2, b], v[t + 1, b], u[t, b], syn, mem, layer, constants)
+            now, before, current = v[t + 2, b], v[t + 1, b], u[t, b]
+            ds_b, dv_b, du_b, sum_syn, sum_mem = ds[b], dv[b], du[b], gradients.syn[b], gradients.mem[b]
+            for i in range(both):
+                start = before[i] if before[i] <= threshold else zero
+                slope = one + width * abs(now[i] - threshold)
+                d = (zero if now[i] > threshold else mem[i] * dv_b[i]) + ds_b[i] / (slope * slope)
+                dv_b[i] = d
+                du_b[i] = d + syn[i] * du_b[i]
+                sum_mem[i] += d * start
+                sum_syn[i] += du_b[i] * current[i]
             for k in range(x.shape[2]):
                 sample, into = x[t, b, k], gradients.w_in[k]
                 for i in range(h0):
