@@ -190,7 +190,10 @@ def _all_epochs(
             epoch = replace(epoch, seconds=before + time.monotonic() - began)
             history.append(epoch)
             if _best(config, history) is epoch:
-                _save_best(config, learner, epoch, out)
+                about = {"config": json.loads(config.model_dump_json()), "commit": commit()}
+                about |= {"epoch": epoch.epoch + 1, "updates": epoch.updates}
+                about |= {f"validation_{name}": round(value, 6) for name, value in epoch.validation.items()}
+                learner.save(out / "best.safetensors", about)
             # by way of memory: PyTorch reports a full disk as a failed writer
             state = learner.state_dict() | {"history": list(map(asdict, history))}
             torch.save(state, buffer := io.BytesIO())
@@ -204,13 +207,6 @@ def _all_epochs(
         log.error("%s: training stopped, the best weights so far stay", error)
         return f"{DIVERGED}: {error}"
     return f"all {config.epochs} epochs done"
-
-
-def _save_best(config: Config, learner: Training | CircuitLearner, epoch: Epoch, out: Path) -> None:
-    figures = {f"validation_{name}": round(value, 6) for name, value in epoch.validation.items()}
-    progress = {"epoch": epoch.epoch + 1, "updates": epoch.updates}
-    about = {"config": json.loads(config.model_dump_json()), "commit": commit()}
-    learner.save(out / "best.safetensors", about | progress | figures)
 
 
 class Training:

@@ -75,7 +75,11 @@ def counts(core: OnLoihi, activity: Activity) -> dict[str, float]:
     updates = float(sum(placed.used()["compartments"] for placed in core.cores))
     active = float(activity.active.sum() / activity.steps)
     fan_out = synapses(core.cores, sum(activity.sizes))
-    home = _homes(core)
+    edges = np.cumsum((0, *core.sizes))
+    home = np.empty(edges[-1], np.int64)
+    for number, placed in enumerate(core.cores):
+        for layer, ids in placed.neurons.items():
+            home[edges[layer] + np.array(ids)] = number
     tile = np.arange(len(core.cores)) // CORES_PER_TILE
     distance = np.abs(tile[home][:, None] - tile[None, :])  # (neurons, cores)
     reached = fan_out > 0
@@ -150,13 +154,3 @@ def gru_flops(encoding: int, hidden: int, outputs: int = 2) -> float:
     """
     layers = ((6, encoding), (encoding, hidden))
     return float(sum(6 * h * (m + h) + 16 * h for m, h in layers) + (2 * hidden + 1) * outputs)
-
-
-def _homes(core: OnLoihi) -> NDArray[np.int64]:
-    """The core of each neuron, (neurons,)."""
-    edges = np.cumsum((0, *core.sizes))
-    home = np.empty(edges[-1], np.int64)
-    for number, placed in enumerate(core.cores):
-        for layer, ids in placed.neurons.items():
-            home[edges[layer] + np.array(ids)] = number
-    return home

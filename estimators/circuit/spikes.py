@@ -115,7 +115,9 @@ def step(row, state, circuit, steps, spikes):
     threshold = RING[state.ring[0] - 1]
     _encode(row, state, n_w, n_a)
     _fire(state, s)
-    _listen(state, circuit, threshold, opened)
+    for q in range(opened.size):
+        opened[q] = state.gate[q] + circuit.levels[0, q] > threshold
+        state.events[4] += opened[q]
     _feel(state, circuit.sense, threshold, n_w, n_a, s, heard)
     _hear(state, circuit, heard)
     _advance(state, circuit, s, n_a)
@@ -169,14 +171,6 @@ def _fire(state, s):
         soma[i] = v - (spikes[i] << BIAS_BITS)
         bias[i], due[i] = _clipped(bias[i] + due[i]), 0
         state.events[6] += abs(spikes[i])
-
-
-@njit(inline="always")
-def _listen(state, circuit, threshold, opened):
-    """Spikes of the gates."""
-    for q in range(opened.size):
-        opened[q] = state.gate[q] + circuit.levels[0, q] > threshold
-        state.events[4] += opened[q]
 
 
 @njit(inline="always")

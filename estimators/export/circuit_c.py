@@ -67,9 +67,14 @@ def write_circuit_c(folder: str | Path, config: CircuitConfig, p: Parameters) ->
         **_integers(circuit),
     }
     layers = (ASSETS / "c99" / "network.c").read_text(encoding="utf-8")
+
+    def part(found: re.Match[str]) -> str:
+        start, end = map(layers.index, PARTS[found[1]])
+        return layers[start:end]
+
     for end in ("h", "c"):
         text = (ASSETS / "c99" / f"circuit.{end}").read_text(encoding="utf-8")
-        text = PART.sub(lambda found: _part(layers, *PARTS[found[1]]), text)
+        text = PART.sub(part, text)
         write_whole(Path(folder) / f"{ESTIMATOR}.{end}", Template(text).substitute(values))
 
 
@@ -160,9 +165,3 @@ def _check(circuit: records.Circuit) -> None:
     )
     if max(part.max(initial=0) for part in sums) + STATE_MAX >= 1 << 31:
         raise ValueError("C99 needs weights whose sums are within 32 bits")
-
-
-def _part(text: str, start: str, end: str) -> str:
-    """From where one text stands to where another does."""
-    first = text.index(start)
-    return text[first : text.index(end, first)]

@@ -13,7 +13,7 @@ from estimators.circuit.parameters import GRAVITY
 from quadsim.rotation import multiply_core, normalize_core, quat_rotate_inverse
 from quadsim.runs.compiled import njit
 
-from ..augment import Augmentation, augment
+from ..augment import augment
 from ..config import CircuitTraining
 from ..data import SIGNALS, TrainingFlights
 
@@ -67,7 +67,9 @@ def draw_streams(
     hand_share = recipe.hand_share if flights and hands else float(not flights)
     count, blocks = recipe.streams, -(-recipe.streams // BLOCK)
     kinds, fine = rng.random(blocks) < hand_share, rng.random(blocks) < recipe.calibrated_share
-    calibrated = _calibrated(recipe.augmentation)
+    errors = "gyro_bias_max", "accel_bias_max", "scale_max", "mounting_max_deg"
+    less = {name: CALIBRATED * getattr(recipe.augmentation, name) for name in errors}
+    calibrated = recipe.augmentation.model_copy(update=less)
     rooms = [np.empty((count, *shape), np.float32) for shape in ((steps, 3), (steps, 3), (steps, 3), (3,))]
     done = Streams(rooms[0], rooms[1], rooms[2], rooms[3], rng.random(count) < recipe.known_share)
     for k, by_hand in enumerate(kinds):
@@ -81,12 +83,6 @@ def draw_streams(
         done.up[part] = up
         done.bias[part] = bias_of(done.angle[part] * rate_hz, up, rate_hz)
     return done
-
-
-def _calibrated(augmentation: Augmentation) -> Augmentation:
-    """The errors of sensors that somebody has calibrated."""
-    errors = "gyro_bias_max", "accel_bias_max", "scale_max", "mounting_max_deg"
-    return augmentation.model_copy(update={name: CALIBRATED * getattr(augmentation, name) for name in errors})
 
 
 def _block(
