@@ -19,7 +19,7 @@ from estimators.circuit.parameters import (
     untrained,
     with_quick_start,
 )
-from estimators.circuit.records import ANGLE_DIGITS, FORCE_DIGITS, INNOVATION, ONE, RING
+from estimators.circuit.records import ANGLE_DIGITS, INNOVATION, ONE, RING
 from estimators.circuit.spikes import SpikingCircuit
 from estimators.networks.network import NetworkEstimator
 from quadsim.flight.mission import Mission
@@ -266,12 +266,6 @@ def test_the_kernel_is_the_circuit_neuron_by_neuron(steps):
         spikes += np.abs(plain.d).sum()
     assert spikes > 50
     assert np.abs(plain.b).min() > 0
-
-
-def test_every_integer_has_its_digits():
-    for n in range(-121, 122):
-        assert digits(n, ANGLE_DIGITS) @ 3 ** np.arange(ANGLE_DIGITS) == n
-    assert digits(40, FORCE_DIGITS).tolist() == [1, 1, 1, 1]
 
 
 def test_weights_are_ones_that_the_chip_has():

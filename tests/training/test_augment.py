@@ -7,12 +7,16 @@ from training.augment import Augmentation, augment
 from training.data import load_training_flights
 
 
+def only(**errors):
+    """These errors, and none of those that are there by default."""
+    return Augmentation(**{"gyro_noise": 0, "accel_noise": 0, "accel_bias": 0} | errors)
+
+
 def test_symmetry_keeps_kinematics_and_gravity(dataset):
     flights = load_training_flights([dataset])
-    quiet = Augmentation(gyro_noise=0, accel_noise=0, accel_bias=0, yaw_symmetry=True)
     rng = np.random.default_rng(0)
     rate, force, up = (getattr(flights, k).astype(float) for k in ("ang_vel", "specific_force", "up"))
-    gyro, accel, turned = augment(rate, force, up, quiet, 200.0, rng)
+    gyro, accel, turned = augment(rate, force, up, only(yaw_symmetry=True), 200.0, rng)
     np.testing.assert_allclose((accel * turned).sum(-1), (force * up).sum(-1), atol=1e-5)
     # d up / dt = up x rate, in the turned axes as in the old ones.
     slope = (turned[:, 2:] - turned[:, :-2]) * 100.0
@@ -32,11 +36,11 @@ def test_noise_has_the_density_that_is_asked_for():
 
 def test_an_imu_off_the_centre_feels_what_the_simulators_imu_feels():
     """Spins about z and x tell the arm; then any rate that grows evenly, ω̇ × r + ω × (ω × r)."""
-    quiet = Augmentation(gyro_noise=0, accel_noise=0, accel_bias=0, lever_arm_max=0.1)
+    displaced = only(lever_arm_max=0.1)
 
     def felt(rate):
         rates = np.broadcast_to(rate, (200, 20, 3))
-        return augment(rates, 0 * rates, 0 * rates, quiet, 200.0, np.random.default_rng(1))[1]
+        return augment(rates, 0 * rates, 0 * rates, displaced, 200.0, np.random.default_rng(1))[1]
 
     about_z, about_x = (felt(spin)[:, 0] / -(4.0**2) for spin in ([0.0, 0.0, 4.0], [4.0, 0.0, 0.0]))
     arms = np.column_stack([about_z[:, :2], about_x[:, 2]])
@@ -53,9 +57,7 @@ def test_an_imu_off_the_centre_feels_what_the_simulators_imu_feels():
 def test_vibration_has_its_size_in_the_accelerometer_and_a_hundredth_in_the_gyroscope():
     """Two tones a sin + b cos, a and b uniform within ± size / 2: a root mean square of size / √6."""
     zero = np.zeros((2000, 100, 3), np.float32)
-    vibration = Augmentation(
-        vibration=(6.0, 6.0), vibration_share=1.0, gyro_noise=0, accel_noise=0, accel_bias=0
-    )
+    vibration = only(vibration=(6.0, 6.0), vibration_share=1.0)
     gyro, accel, _ = augment(zero, zero, zero, vibration, 200.0, np.random.default_rng(0))
     for signal, size in ((accel, 6.0), (gyro, 0.06)):
         rms = np.sqrt(np.mean(signal.astype(float) ** 2, axis=(0, 1)))
@@ -79,23 +81,14 @@ def test_rough_sensors_are_drawn_within_their_limits():
     still, force = np.zeros((n, steps, 3), np.float32), np.zeros((n, steps, 3), np.float32)
     force[..., 2] = 9.81
     up = force / np.float32(9.81)
-    gyro, accel, _ = augment(
-        still,
-        force,
-        up,
-        Augmentation(gyro_bias_max=0.1, accel_bias=0, accel_noise=0, gyro_noise=0),
-        200.0,
-        rng,
-    )
+    gyro, accel, _ = augment(still, force, up, only(gyro_bias_max=0.1), 200.0, rng)
     assert 0.08 < np.abs(gyro).max() <= 0.1
     assert np.ptp(gyro, axis=1).max() == 0
     np.testing.assert_array_equal(accel, force)
-    _, accel, _ = augment(
-        still, force, up, Augmentation(mounting_max_deg=5.0, accel_bias=0, accel_noise=0), 200.0, rng
-    )
+    _, accel, _ = augment(still, force, up, only(mounting_max_deg=5.0), 200.0, rng)
     tilt = np.degrees(np.arccos(accel[:, 0, 2] / 9.81))
     assert 3.0 < tilt.max() < 7.1  # roll and pitch of at most 5° each
-    vibrating = Augmentation(vibration=(1.0, 2.0), vibration_share=0.5, accel_bias=0, accel_noise=0)
+    vibrating = only(vibration=(1.0, 2.0), vibration_share=0.5)
     _, accel, _ = augment(still, force, up, vibrating, 200.0, rng)
     spread = accel.std(axis=1).max(axis=1)
     assert 0.4 < (spread > 0.05).mean() < 0.6
@@ -106,8 +99,7 @@ def test_readings_are_low_passed_and_delayed():
     rng = np.random.default_rng(0)
     step = np.zeros((200, 400, 3), np.float32)
     step[:, 200:] = 1.0
-    plain = {"accel_bias": 0.0, "accel_noise": 0.0, "gyro_noise": 0.0}
-    gyro, _, _ = augment(step, step, step, Augmentation(delay_max_s=0.02, **plain), 200.0, rng)
+    gyro, _, _ = augment(step, step, step, only(delay_max_s=0.02), 200.0, rng)
     assert set(np.argmax(gyro[..., 0] > 0.5, axis=1)) == {200, 201, 202, 203, 204}
-    gyro, _, _ = augment(step, step, step, Augmentation(low_pass_hz=(10.0, 10.0), **plain), 200.0, rng)
+    gyro, _, _ = augment(step, step, step, only(low_pass_hz=(10.0, 10.0)), 200.0, rng)
     assert gyro[0, 200 + 3, 0] == pytest.approx(1 - np.exp(-2 * np.pi * 10 * 4 / 200), abs=1e-3)

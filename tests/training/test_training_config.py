@@ -73,14 +73,6 @@ def test_every_field_is_documented():
         assert all(field.description for field in kind.model_fields.values())
 
 
-def test_a_setting_of_a_table_leaves_its_other_keys():
-    whole = make_config(data="x")
-    changed = make_config(data="x", augmentation={"gyro_noise": 0.5})
-    assert changed.augmentation.gyro_noise == 0.5
-    rest = changed.augmentation.model_dump() | {"gyro_noise": whole.augmentation.gyro_noise}
-    assert rest == whole.augmentation.model_dump()
-
-
 def test_dotted_settings_of_the_command_line_add_up():
     found = fields_of(["augmentation.gyro_noise=0.5", "augmentation.accel_noise=0.25", "epochs=3"])
     assert found == {"augmentation": {"gyro_noise": 0.5, "accel_noise": 0.25}, "epochs": 3}

@@ -143,17 +143,6 @@ def test_a_sample_reaches_the_output_in_the_third_step():
     np.testing.assert_allclose(out[:3], [0.0, 0.0, 1.0])
 
 
-def test_neuron_follows_the_written_equations():
-    x = np.linspace(0, 0.3, 40)
-    _, encoding, _ = chain(x, tau=0.8)
-    u = v = 0.0
-    for t in range(40):
-        u = 0.8 * u + x[t]
-        v = 0.8 * v + u
-        assert encoding[t] == (v > 0.5)
-        v = 0.0 if v > 0.5 else v
-
-
 def test_recurrent_delay_of_two_is_the_papers_convention():
     """v[t+1] = τ v[t] + i[t], i[t+1] = τ i[t] + W s[t], spikes of v: as printed in the paper."""
     rng, tau = np.random.default_rng(0), 0.75
