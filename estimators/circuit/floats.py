@@ -71,11 +71,20 @@ def stepped(p: Parameters) -> Steps:
     return Steps(*(np.ascontiguousarray(each, F) for each in values), pairs=p.pairs)
 
 
+@njit(cache=True)
+def _room(steps, vectors, gates, n):
+    return Signals(
+        np.empty((steps + 1, vectors, 3, n), F),
+        np.empty((steps + 1, 3, n), F),
+        np.empty((steps + 1, gates, 3, n), F),
+        np.empty((steps, FELT, n), F),
+        np.empty((steps, gates, n), F),
+    )
+
+
 def new_trace(p: Parameters, steps: int, n: int) -> tuple[Signals, Senses]:
     """Room for a run of n copies over T samples, at its start."""
-    vectors, gates = len(p.start), len(p.level)
-    shapes = ((steps + 1, vectors, 3), (steps + 1, 3), (steps + 1, gates, 3), (steps, FELT), (steps, gates))
-    trace = Signals(*(np.empty((*shape, n), F) for shape in shapes))
+    trace = _room(steps, len(p.start), len(p.level), n)
     trace.x[0], trace.bias[0], trace.e[0] = 0, 0, 0
     trace.x[0, :, 2] = p.start[:, None]
     return trace, Senses(np.zeros((9, n), F), np.tile(p.onset.astype(F)[:, None], n))
@@ -237,13 +246,7 @@ def _run_states(gyro, accel, set_points, scaling, w, start, onset, states, out):
     for first in range(0, samples, CHUNK):
         steps = min(CHUNK, samples - first)
         angle, force = np.empty((steps, 3, n), F), np.empty((steps, 3, n), F)
-        trace = Signals(
-            np.empty((steps + 1, vectors, 3, n), F),
-            np.empty((steps + 1, 3, n), F),
-            np.empty((steps + 1, gates, 3, n), F),
-            np.empty((steps, FELT, n), F),
-            np.empty((steps, gates, n), F),
-        )
+        trace = _room(steps, vectors, gates, n)
         for c in range(n):
             for t in range(steps):
                 here = slice(3 * (first + t), 3 * (first + t) + 3)

@@ -17,7 +17,7 @@ gyroscope's bias, as in Mahony et al. 2008, "Nonlinear complementary filters on 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,21 +87,12 @@ def untrained(vectors: int = 4, gates: int = 8, seed: int = 0, spread: float = 0
             use; relative to 0.01 /s.
     """
     rng = np.random.default_rng(seed)
-    p = Parameters(
-        mix=np.zeros((2, vectors, vectors)),
-        pull=np.zeros((2, vectors)),
-        give=np.zeros((gates, 2, vectors)),
-        take=np.zeros((gates, 2, vectors)),
-        read=np.zeros((gates, 2)),
-        learn=np.array([0.0075]),
-        gate=np.zeros((gates, FELT)),
-        level=np.zeros(gates),
-        onset=np.zeros(gates),
-        tau=np.where(np.arange(gates) % 2, SLOW, FAST),
-        pairs=np.array([[OUTPUT, 6]]),
-        start=np.ones(vectors),
-        scale=np.ones(vectors),
-    )
+    shapes = expected_shapes(vectors, gates, pairs=1)
+    values: dict[str, Any] = {name: np.zeros(shape) for name, shape in shapes.items()}
+    values |= {"pairs": np.array([[OUTPUT, 6]]), "start": np.ones(vectors), "scale": np.ones(vectors)}
+    p = Parameters(**values)
+    p.learn[:] = 0.0075
+    p.tau[0::2], p.tau[1::2] = FAST, SLOW
     p.tau[:8] = SLOW, SLOW, FAST, FAST, FAST, FAST, SLOWEST, FAST
     p.start[2] = 0
     p.mix[:] += 0.01 * spread * rng.standard_normal(p.mix.shape)

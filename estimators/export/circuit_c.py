@@ -116,12 +116,9 @@ def _integers(circuit: records.Circuit) -> dict[str, int | str]:
         "felt_vector": vector,
         "felt_still": still,
     }
-    for name, weights in (
-        ("mix", circuit.mix),
-        ("give", circuit.give),
-        ("take", circuit.take),
-    ):
-        found[name], found[f"from_{name}"] = map(braces, _words(weights[DIRECTIONS].astype(np.int64)))
+    for name in ("mix", "give", "take"):
+        weights = getattr(circuit, name)[DIRECTIONS].astype(np.int64)
+        found[name], found[f"from_{name}"] = map(braces, _words(weights))
     rows = zip(level.tolist(), decays.tolist(), circuit.gate, strict=True)
     found["gate"] = "{\n" + ",\n".join(f"{{{c}, {_keep(d)}, {braces(w)}}}" for c, d, w in rows) + "}"
     pairs = circuit.learn if len(circuit.learn) else np.zeros((1, 3), np.int32)  # C has no empty arrays

@@ -81,6 +81,8 @@ def test_each_exponent_of_weights_is_a_format_with_lists_of_its_own():
         for exponents in (0, -(np.arange(64) % 4))
     )
     assert (plain["synaptic formats"], mixed["synaptic formats"]) == (1, 4)
+    recurrent = LoihiLayer(w_in=ones(64, 3), w_rec=ones(64, 64), exp_rec=-(np.arange(64) % 3) - 1)
+    assert partition([recurrent])[0].used()["synaptic formats"] == 4
     assert plain["fan-in axons"] == mixed["fan-in axons"] == 3
     # 3 axons with one list of 64 or four of 16 synapses of 8 + 6 bits, a head of 10, in words of 64 bits
     assert plain["synaptic bits"] == 3 * 64 * -(-(64 * 14 + 10) // 64)

@@ -105,25 +105,20 @@ class ControlTask:
         """
         student = SpikingController(network, tensors)
         flown = self._validation_flights(student)
+        student.reset(len(flown))
+        out = student.sequence(flown.set_point, flown.gyro, flown.accel)[..., :3]
+        valid = np.arange(out.shape[1]) < flown.end[:, None]
+        error = (out - flown.target)[valid] / np.array(self.scale)
         return {
             "tracking_deg": tracking_deg(flown),
             "teacher_deg": self.teacher_deg,
             "crashes": float(flown.crashes),
-            "imitation": imitation_error(student, flown, self.scale),
+            "imitation": float(np.sqrt(np.mean(error**2))) if valid.any() else math.inf,
         }
 
     def note(self) -> dict[str, Any]:
         """What the weights say of the flights."""
         return {"vehicles": [self.recipe.vehicle.name], "training_flights": sum(map(len, self.rounds))}
-
-
-def imitation_error(student: SpikingController, flights: ControlFlights, scale: tuple[float, ...]) -> float:
-    """Root mean square error of the outputs on flights, over the error scale."""
-    student.reset(len(flights))
-    out = student.sequence(flights.set_point, flights.gyro, flights.accel)[..., :3]
-    valid = np.arange(out.shape[1]) < flights.end[:, None]
-    error = (out - flights.target)[valid] / np.array(scale)
-    return float(np.sqrt(np.mean(error**2))) if valid.any() else math.inf
 
 
 def tracking_deg(flights: ControlFlights) -> float:
