@@ -80,8 +80,6 @@ def load_training_flights(paths: Sequence[str | Path]) -> TrainingFlights:
         FileNotFoundError: A dataset is not there.
         ValueError: Not a dataset, different rates or lengths, or no complete flight.
     """
-    if not paths:
-        raise ValueError("no dataset to train on")
     parts = [_read(Path(path)) for path in paths]
     rates = {part.rate_hz for part in parts}
     if len(rates) > 1:

@@ -77,12 +77,7 @@ class Task(Protocol):
 
 
 def learner_of(config: Config, out: Path) -> Training | CircuitLearner:
-    """What the run in a folder trains.
-
-    Raises:
-        ValueError: A dataset that cannot be used.
-        FileNotFoundError: A dataset is not there.
-    """
+    """What the run in a folder trains, with its datasets read."""
     if isinstance(config, CircuitRun):
         from .circuit.train import CircuitLearner
 

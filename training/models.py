@@ -182,10 +182,9 @@ class AttSNN(nn.Module):
 
 
 class AttRNN(nn.Module):
-    """The non-spiking twin: two GRU layers and a linear output: roll and pitch, Euler angles."""
+    """The non-spiking twin: two GRU layers and a linear output, with PyTorch's own initial weights."""
 
     def __init__(self, config: TrainConfig) -> None:
-        """Build with PyTorch's own initial weights."""
         super().__init__()
         self.network = network_of(config)
         self.gru = nn.GRU(6, config.hidden, num_layers=2, batch_first=True)

@@ -30,7 +30,6 @@ class Lookahead:
     """
 
     def __init__(self, optimizer: Optimizer) -> None:
-        """Begin with slow weights equal to the fast ones."""
         self.optimizer = optimizer
         self.steps = 0
         self.slow = [p.detach().clone() for p in self._fast()]

@@ -80,7 +80,6 @@ class LoihiNetwork:
     """
 
     def __init__(self, layers: Sequence[LoihiLayer]) -> None:
-        """Check that the layers fit, pack them, and start one copy from zero."""
         if not layers:
             raise ValueError("a network needs at least one layer, got none")
         self.layers = list(layers)

@@ -118,7 +118,6 @@ class Spiking:
     """Att-SNN, with the numbers of the chip where it is quantised; a `NetworkCore`."""
 
     def __init__(self, config: NetworkConfig, tensors: Tensors) -> None:
-        """Lay the weights out for the kernel."""
         one = float(STATE_ONE) if config.quantised else 1.0
         self.outputs = config.n_outputs
         weights = packed(real_weights(config, tensors), config.quantised, config.recurrent_delay)
@@ -234,7 +233,6 @@ class OnLoihi(Spiking):
     """
 
     def __init__(self, config: NetworkConfig, tensors: Tensors) -> None:
-        """Place the network on the chip."""
         if config.model != "att-snn" or not config.quantised or config.recurrent_delay != 1:
             raise ValueError("the chip needs quantised weights of att-snn with a recurrent delay of 1")
         super().__init__(config, tensors)

@@ -60,9 +60,9 @@ class NetworkCore(Protocol):
     arrays: tuple[Any, ...]
     """What the kernel needs to know of it."""
     kernel: Callable[..., None]
-    """Compiled: takes T samples of n vehicles, body rate and specific force (n, 3 T) and a controller's
-    further inputs (n, 3 T); the arrays; and the numbers of the vehicles' states (n, words), which it changes.
-    It writes outputs (n, outputs T)."""
+    """Compiled: takes T samples of n vehicles, body rate [rad/s] and specific force [m/s²], one sample after
+    the other, (n, 3 T), and a controller's further inputs, integers (n, 3 T); the arrays; and the numbers of
+    the vehicles' states (n, words), which it changes. It writes outputs (n, outputs T)."""
 
 
 CORES: dict[str, Callable[[NetworkConfig, Tensors], NetworkCore]] = {
@@ -144,7 +144,6 @@ class NetworkEstimator(BatchedNetwork):
     attitude before the first sample. None for a network of layers, whose outputs are roll and pitch."""
 
     def __init__(self, core: NetworkCore, rate_hz: float) -> None:
-        """Start with one vehicle of unknown attitude."""
         super().__init__(core, rate_hz)
         self.reset()
 
