@@ -191,7 +191,7 @@ class Run(Strict):
         return self
 
 
-class CircuitRun(CircuitTraining, Run):
+class CircuitRun(Run, CircuitTraining):
     """A training run of a circuit."""
 
     @property
@@ -200,7 +200,7 @@ class CircuitRun(CircuitTraining, Run):
         return -(-self.updates // EPOCH_UPDATES)
 
 
-class TrainConfig(TrainingRecipe, Run):
+class TrainConfig(Run, TrainingRecipe):
     """A training run of a network of layers."""
 
     model: Literal["att-snn", "att-rnn"] = SNN
