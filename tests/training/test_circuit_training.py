@@ -82,7 +82,7 @@ def test_a_stopped_run_ends_as_one_that_was_not(tmp_path, data):
     tuned = make_config(**little)
     assert (tuned.vectors, tuned.gates) == (4, 8)
     after = train(out=tmp_path / "on", **little)
-    before = after.best.validation["hummingbird_before_deg"]
+    before = after.best.validation["hummingbird_before_training_deg"]
     assert {"hummingbird_deg": before} == whole.best.validation
     np.testing.assert_allclose(load_circuit(after.weights).parameters.mix, p.mix, atol=1e-5)
 

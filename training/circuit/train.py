@@ -121,7 +121,7 @@ class CircuitLearner:
             name = Path(path).stem
             found[f"{name}_deg"] = validation_error(self.circuit(), path)
             if self.config.init:
-                found[f"{name}_before_deg"] = validation_error(self.first, path)
+                found[f"{name}_before_training_deg"] = validation_error(self.first, path)
         return found
 
     def circuit(self) -> Parameters:
