@@ -33,11 +33,11 @@ def step(s, p, sample):
     acc_roll, acc_pitch = tilt_of_force_core(ax, ay, az)
     d_roll, d_pitch = wrap_core(acc_roll - roll), acc_pitch - pitch
     more = p.k_a if gx * gx + gy * gy + gz * gz < SLOW_RATE * SLOW_RATE else 0.0
-    found = 1.0 if ax != 0.0 or ay != 0.0 or az != 0.0 else 0.0
     share, s.tilt_variance = reacquire(s.tilt_variance, sample)
     weight = max(1.0 - p.gamma, share)
-    roll += found * min(weight + more * abs(d_roll), 1.0) * d_roll
-    pitch += found * min(weight + more * abs(d_pitch), 1.0) * d_pitch
+    if sample.found:
+        roll += min(weight + more * abs(d_roll), 1.0) * d_roll
+        pitch += min(weight + more * abs(d_pitch), 1.0) * d_pitch
     s.roll, s.pitch = wrap_core(roll), pitch
     return s.roll, pitch
 

@@ -11,11 +11,11 @@ of the last two samples. `packaged` holds the same filter on filterpy's classes.
 
 import numpy as np
 
-from quadsim.rotation import multiply_core, normalize_core
+from quadsim.rotation import normalize_core
 from quadsim.runs.compiled import njit
 
 from .driver import Array, CompiledFilter, Records
-from .inline_math import direction_core, exp_core, put, roll_pitch_core
+from .inline_math import direction_core, exp_core, multiply, put, roll_pitch_core
 from .samples import run_all
 
 SIGMA_KNOWN = 0.01
@@ -37,12 +37,6 @@ RECORD = np.dtype(
 
 
 @njit
-def times(a, b):
-    """Product a ⊗ b of two tuples."""
-    return multiply_core(a[0], a[1], a[2], a[3], b[0], b[1], b[2], b[3])
-
-
-@njit
 def dot(a, b):
     """Inner product of two tuples."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
@@ -52,9 +46,9 @@ def dot(a, b):
 def propagate(P, T, step, noise):
     """P ← F P Fᵀ + noise I. F x = x ⊗ step, and P is symmetric: F (F P)ᵀ; T is scratch."""
     for i in range(4):
-        put(T[i], times(P[i], step))
+        put(T[i], multiply(P[i], step))
     for i in range(4):
-        put(P[i], times(T[:, i], step))
+        put(P[i], multiply(T[:, i], step))
         P[i, i] += noise
 
 
@@ -88,10 +82,9 @@ def step(s, p, sample):
     gx, gy, gz = sample.mean_gyro
     ax, ay, az = sample.accel
     turn = exp_core(gx * dt, gy * dt, gz * dt)
-    w, x, y, z = times(s.quat, turn)
+    w, x, y, z = multiply(s.quat, turn)
     propagate(P, s.moved, turn, 0.25 * (p.gyro_noise * p.gyro_noise * dt + sample.unseen))
-    found = ax != 0.0 or ay != 0.0 or az != 0.0
-    variance = p.accel_noise * p.accel_noise / dt + (0.0 if found else NOTHING_KNOWN)
+    variance = p.accel_noise * p.accel_noise / dt + (0.0 if sample.found else NOTHING_KNOWN)
     ax, ay, az = direction_core(ax, ay, az)
     residual = ax - 2.0 * (x * z - w * y), ay - 2.0 * (y * z + w * x), az - (w * w - x * x - y * y + z * z)
     rows = (-y, z, -w, x), (x, w, z, y), (w, -x, -y, z)
@@ -102,7 +95,7 @@ def step(s, p, sample):
             column[a] = 2.0 * dot(P[a], h)
         correct(P, 4, dx, column, 2.0 * dot(h, column) + variance, residual[k] - 2.0 * dot(h, dx))
     put(s.quat, normalize_core(w + dx[0], x + dx[1], y + dx[2], z + dx[3]))
-    return roll_pitch_core(s.quat[0], s.quat[1], s.quat[2], s.quat[3])
+    return roll_pitch_core(s.quat)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -16,13 +16,13 @@ import math
 
 import numpy as np
 
-from quadsim.rotation import matrix_core, multiply_core, normalize_core, rotate_core
+from quadsim.rotation import matrix_core, normalize_core
 from quadsim.runs.compiled import njit
 from quadsim.vehicle import GRAVITY
 
 from .driver import Array, CompiledFilter, Records
 from .ekf import NOTHING_KNOWN, SIGMA_UNKNOWN, correct
-from .inline_math import atan2_core, exp_core, put, roll_pitch_core
+from .inline_math import atan2_core, exp_core, multiply, put, roll_pitch_core, rotate
 from .samples import run_all
 
 RECORD = np.dtype(
@@ -40,18 +40,18 @@ SIGMA_GIVEN = 0.3
 
 
 @njit(error_model="numpy")
-def tilt_core(x, y, z):
+def tilt_core(force):
     """Rotation vector x, y [rad] that takes a world vector to the z axis the short way; any length."""
+    x, y, z = force
     across = math.sqrt(x * x + y * y)
     scale = atan2_core(across, z) / (across if across > 0.0 else 1.0)
     return y * scale, -x * scale
 
 
 @njit
-def turned(qw, qx, qy, qz, x, y):
-    """The quaternion after a small rotation (x, y, 0) [rad] about world axes."""
-    rw, rx, ry, rz = exp_core(x, y, 0.0)
-    w, x, y, z = multiply_core(rw, rx, ry, rz, qw, qx, qy, qz)
+def turned(q, x, y):
+    """A quaternion after a small rotation (x, y, 0) [rad] about world axes."""
+    w, x, y, z = multiply(exp_core(x, y, 0.0), q)
     return normalize_core(w, x, y, z)
 
 
@@ -75,25 +75,22 @@ def step(s, p, sample):
     dt, P, dx, b = sample.dt, s.covariance, s.error, s.gyro_bias
     gx, gy, gz = sample.mean_gyro
     ax, ay, az = sample.accel
-    ew, ex, ey, ez = exp_core((gx - b[0]) * dt, (gy - b[1]) * dt, (gz - b[2]) * dt)
-    qw, qx, qy, qz = s.quat
-    qw, qx, qy, qz = multiply_core(qw, qx, qy, qz, ew, ex, ey, ez)
+    q = multiply(s.quat, exp_core((gx - b[0]) * dt, (gy - b[1]) * dt, (gz - b[2]) * dt))
     walk = p.gyro_noise * p.gyro_noise * dt + sample.unseen
-    propagate(P, matrix_core(qw, qx, qy, qz), dt, walk, p.bias_noise * p.bias_noise * dt)
+    propagate(P, matrix_core(q[0], q[1], q[2], q[3]), dt, walk, p.bias_noise * p.bias_noise * dt)
     force = math.sqrt(ax * ax + ay * ay + az * az)
-    wx, wy, wz = rotate_core(qw, qx, qy, qz, ax, ay, az)
-    tilt = tilt_core(wx, wy, wz)
+    tilt = tilt_core(rotate(q, sample.accel))
     excess = p.force_weight * (force / GRAVITY - 1.0)
     variance = p.accel_noise * p.accel_noise / dt * (1.0 + excess * excess)
-    variance += 0.0 if force > 0.0 else NOTHING_KNOWN
+    variance += 0.0 if sample.found else NOTHING_KNOWN
     dx[:] = 0.0
     for k in range(2):
         put(s.column, P[k])
         correct(P, 5, dx, s.column, P[k, k] + variance, tilt[k] - dx[k])
-    put(s.quat, turned(qw, qx, qy, qz, dx[0], dx[1]))
+    put(s.quat, turned(q, dx[0], dx[1]))
     for k in range(3):
         b[k] += dx[2 + k]
-    return roll_pitch_core(s.quat[0], s.quat[1], s.quat[2], s.quat[3])
+    return roll_pitch_core(s.quat)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from quadsim.rotation import multiply_core, rotate_core
 from quadsim.runs.compiled import njit
 
 
@@ -34,6 +35,18 @@ def put(array, values):
     """Write a tuple or an array to an array; for a slice Numba would also compile messages about shapes."""
     for k in range(len(values)):
         array[k] = values[k]
+
+
+@njit
+def multiply(p, q):
+    """Product p ⊗ q of two quaternions, tuples or arrays."""
+    return multiply_core(p[0], p[1], p[2], p[3], q[0], q[1], q[2], q[3])
+
+
+@njit
+def rotate(q, v):
+    """A vector rotated by a quaternion, tuples or arrays."""
+    return rotate_core(q[0], q[1], q[2], q[3], v[0], v[1], v[2])
 
 
 @njit(error_model="numpy")
@@ -75,8 +88,9 @@ def exp_core(x, y, z):
 
 
 @njit
-def roll_pitch_core(qw, qx, qy, qz):
+def roll_pitch_core(q):
     """Roll and pitch of a quaternion [rad], without the yaw that `euler_core` also works out."""
+    qw, qx, qy, qz = q
     across = 2.0 * (qy * qz + qw * qx)
     up = qw * qw - qx * qx - qy * qy + qz * qz
     return atan2_core(across, up), atan2_core(2.0 * (qw * qy - qx * qz), math.sqrt(across * across + up * up))

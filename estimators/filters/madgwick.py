@@ -11,11 +11,11 @@ import math
 
 import numpy as np
 
-from quadsim.rotation import multiply_core, normalize_core
+from quadsim.rotation import normalize_core
 from quadsim.runs.compiled import njit
 
 from .driver import CompiledFilter
-from .inline_math import direction_core, put, roll_pitch_core
+from .inline_math import direction_core, multiply, put, roll_pitch_core
 from .samples import reacquire, run_all
 
 RECORD = np.dtype([("quat", "f8", 4), ("tilt_variance", "f8")])
@@ -46,18 +46,14 @@ def step(s, p, sample):
     gx, gy, gz = sample.gyro
     ax, ay, az = sample.accel
     qw, qx, qy, qz = s.quat
-    dw, dx, dy, dz = multiply_core(qw, qx, qy, qz, 0.0, 0.5 * gx, 0.5 * gy, 0.5 * gz)
+    dw, dx, dy, dz = multiply(s.quat, (0.0, 0.5 * gx, 0.5 * gy, 0.5 * gz))
     fw, fx, fy, fz, error = descent(qw, qx, qy, qz, ax, ay, az)
     share, s.tilt_variance = reacquire(s.tilt_variance, sample)
     beta = max(p.beta, 0.5 * share * error / dt)
-    qw, qx, qy, qz = normalize_core(
-        qw + (dw - beta * fw) * dt,
-        qx + (dx - beta * fx) * dt,
-        qy + (dy - beta * fy) * dt,
-        qz + (dz - beta * fz) * dt,
-    )
-    put(s.quat, (qw, qx, qy, qz))
-    return roll_pitch_core(qw, qx, qy, qz)
+    w, x = qw + (dw - beta * fw) * dt, qx + (dx - beta * fx) * dt
+    y, z = qy + (dy - beta * fy) * dt, qz + (dz - beta * fz) * dt
+    put(s.quat, normalize_core(w, x, y, z))
+    return roll_pitch_core(s.quat)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

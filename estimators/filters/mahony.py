@@ -9,11 +9,11 @@ the specific force in body axes, and e = a × v̂:
 
 import numpy as np
 
-from quadsim.rotation import multiply_core, normalize_core, rotate_inverse_core
+from quadsim.rotation import normalize_core, rotate_inverse_core
 from quadsim.runs.compiled import njit
 
 from .driver import CompiledFilter
-from .inline_math import direction_core, put, roll_pitch_core
+from .inline_math import direction_core, multiply, put, roll_pitch_core
 from .samples import reacquire, run_all
 
 RECORD = np.dtype([("quat", "f8", 4), ("gyro_bias", "f8", 3), ("tilt_variance", "f8")])
@@ -33,14 +33,12 @@ def step(s, p, sample):
     bx, by, bz = bx - k_i * ex * dt, by - k_i * ey * dt, bz - k_i * ez * dt
     share, s.tilt_variance = reacquire(s.tilt_variance, sample)
     k_p = max(p.k_p, share / dt)
-    dw, dx, dy, dz = multiply_core(
-        qw, qx, qy, qz, 0.0, gx - bx + k_p * ex, gy - by + k_p * ey, gz - bz + k_p * ez
-    )
+    rate = gx - bx + k_p * ex, gy - by + k_p * ey, gz - bz + k_p * ez
+    dw, dx, dy, dz = multiply(s.quat, (0.0, *rate))
     h = 0.5 * dt
-    qw, qx, qy, qz = normalize_core(qw + h * dw, qx + h * dx, qy + h * dy, qz + h * dz)
-    put(s.quat, (qw, qx, qy, qz))
+    put(s.quat, normalize_core(qw + h * dw, qx + h * dx, qy + h * dy, qz + h * dz))
     put(s.gyro_bias, (bx, by, bz))
-    return roll_pitch_core(qw, qx, qy, qz)
+    return roll_pitch_core(s.quat)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

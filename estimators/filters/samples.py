@@ -47,7 +47,9 @@ class Sample(NamedTuple):
     mean_gyro: tuple[float, float, float]
     """Mean of this body rate and the last, the trapezoidal rule between samples [rad/s]."""
     accel: tuple[float, float, float]
-    """Specific force [m/s²]; zero where it is missing, which asks for no correction."""
+    """Specific force [m/s²]; zero where it is missing."""
+    found: bool
+    """Whether there is a specific force."""
     rotor_square: float
     """Σ ω² of the rotors [rad²/s²]; zero where a speed is missing, or the rotors stand still."""
     unseen: float
@@ -93,9 +95,8 @@ def reacquire(tilt_variance, sample):
         The share, and the variance that is left [rad²].
     """
     variance = tilt_variance + sample.unseen
-    ax, ay, az = sample.accel
-    found = 1.0 if ax != 0.0 or ay != 0.0 or az != 0.0 else 0.0
-    share = found * variance / (variance + REACQUISITION_NOISE * REACQUISITION_NOISE / sample.dt)
+    share = variance / (variance + REACQUISITION_NOISE * REACQUISITION_NOISE / sample.dt)
+    share = share if sample.found else 0.0
     return share, variance - share * variance
 
 
@@ -155,7 +156,8 @@ def sanitise_sample(state, dt, gyro, accel, rotor_vel, i, t):
     if not (rate_found and force_found):
         state.skipped += 1.0
     mean = (0.5 * (lx + gx), 0.5 * (ly + gy), 0.5 * (lz + gz)) if known else (gx, gy, gz)
-    return Sample((gx, gy, gz), mean, (ax, ay, az), sum_of_squares(rotor_vel, i, t), unseen, ended, dt)
+    rotor_square = sum_of_squares(rotor_vel, i, t)
+    return Sample((gx, gy, gz), mean, (ax, ay, az), force_found, rotor_square, unseen, ended, dt)
 
 
 @njit

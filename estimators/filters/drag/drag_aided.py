@@ -22,13 +22,16 @@ measurement then does not depend on θ at all, its matrix is −D R̂ᵀ on δv 
 
 import math
 
-from quadsim.rotation import from_rotvec_core, matrix_core, multiply_core, rotate_core
+import numpy as np
+
+from quadsim.rotation import from_rotvec_core, matrix_core
 from quadsim.runs.compiled import njit
 from quadsim.vehicle import GRAVITY
 
+from ...sanitise import within
 from ..ekf import correct
 from ..eskf import turned
-from ..inline_math import exp_core
+from ..inline_math import exp_core, multiply, put, rotate
 
 TILT, VELOCITY, GYRO_BIAS, ACCEL_BIAS, WIND = 0, 2, 4, 7, 9
 CLIMB, ACCEL_BIAS_Z, OFFSET, LEVER = 11, 12, 13, 15
@@ -36,6 +39,11 @@ CLIMB, ACCEL_BIAS_Z, OFFSET, LEVER = 11, 12, 13, 15
 every filter estimates: v_z, c_z, o and l."""
 SHARED, DRAG, ERRORS = 9, 13, 16
 """Errors of a model without drag; of one with drag, the climb and all of c; of one with everything."""
+PARTS = np.repeat(
+    ["attitude", "speed", "bias", "accel_bias", "wind", "speed", "accel_bias", "offset", "lever"],
+    [2, 2, 3, 2, 2, 1, 1, 2, 1],
+)
+"""Of each error, the parameter that is its initial standard deviation, without `_sigma`."""
 
 MODEL = [
     ("quat", "f8", 4),
@@ -102,17 +110,6 @@ REST_NOISE = 0.002
 
 
 @njit
-def turn_by(m, x, y, z, dt):
-    """Turn a model by the rotation vector [rad] that the gyroscope measured in dt; R̂ by rows."""
-    b = m.gyro_bias
-    turn = from_rotvec_core(x - b[0] * dt, y - b[1] * dt, z - b[2] * dt)
-    qw, qx, qy, qz = m.quat
-    qw, qx, qy, qz = multiply_core(qw, qx, qy, qz, turn[0], turn[1], turn[2], turn[3])
-    m.quat[:] = qw, qx, qy, qz
-    return matrix_core(qw, qx, qy, qz)
-
-
-@njit
 def transition(P, matrix, v, w, dt, climbs):
     """P ← F P, with θ̇ = −R̂ δb, δv̇ = −θ × g − R̂ δc − v̂ × R̂ δb and δẇ = −ŵ × R̂ δb; δv_z if it `climbs`."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22 = matrix
@@ -139,11 +136,11 @@ def transition(P, matrix, v, w, dt, climbs):
 
 @njit
 def propagate(m, scratch, size, matrix, dt, climbs):
-    """P ← F P Fᵀ + Q = F (F P)ᵀ + Q for a symmetric P.
+    """P ← F P Fᵀ + Q = F (F P)ᵀ + Q for a symmetric P; `scratch.walks` is the diagonal of Q.
 
     Args:
         m: The model's record.
-        scratch: The record with the fields of `SCRATCH`; `walks` is the diagonal of Q.
+        scratch: The record with the fields of `SCRATCH`.
         size: Errors in the state.
         matrix: R̂ by rows.
         dt: Time step [s].
@@ -162,6 +159,43 @@ def propagate(m, scratch, size, matrix, dt, climbs):
 
 
 @njit
+def predict(m, scratch, p, size, turn, dt, scale_error, unseen, drag, climbs):
+    """Turn a model and propagate its covariance, with walks of o and l as they are; R̂ by rows.
+
+    Args:
+        m: The model's record.
+        scratch: As in `propagate`, as are size, dt and climbs.
+        p: The filter's parameters.
+        size: Errors in the state.
+        turn: Rotation vector that the gyroscope measured [rad].
+        dt: Time step [s].
+        scale_error: Variance of that by errors in proportion to the rate [rad²].
+        unseen: Variance of the unmeasured turn [rad²].
+        drag: D at hover [1/s].
+        climbs: Whether v_z and c_z are among the errors.
+    """
+    walks, b = scratch.walks, m.gyro_bias
+    walks[TILT:VELOCITY] = p.gyro_noise**2 * dt + scale_error + unseen
+    walks[VELOCITY:GYRO_BIAS] = p.accel_noise**2 * dt + GAP_SPEED**2 * unseen
+    walks[GYRO_BIAS:ACCEL_BIAS] = p.bias_noise**2 * dt
+    walks[ACCEL_BIAS:WIND] = p.accel_bias_noise**2 * dt
+    walks[WIND:CLIMB] = max(m.wind_noise, gust_noise(m, p, dt, drag)) * dt
+    walks[CLIMB] = walks[VELOCITY] if climbs else 0.0
+    walks[ACCEL_BIAS_Z] = walks[ACCEL_BIAS] if climbs else 0.0
+    step = from_rotvec_core(turn[0] - b[0] * dt, turn[1] - b[1] * dt, turn[2] - b[2] * dt)
+    put(m.quat, multiply(m.quat, step))
+    matrix = matrix_core(m.quat[0], m.quat[1], m.quat[2], m.quat[3])
+    propagate(m, scratch, size, matrix, dt, climbs)
+    return matrix
+
+
+@njit
+def least_variance(m, p, dt):
+    """Variance of the drag measurement by its noise or, if that is more, by vibration [m²/s⁴]."""
+    return max(m.vibration, p.drag_noise**2 / dt)
+
+
+@njit
 def along_drag(x, y, z, arm, k, error, noise):
     """What the drag measurement of axis k changes by with an error and noise, given row k of −D R̂ᵀ."""
     across = x * (error[VELOCITY] - error[WIND]) + y * (error[VELOCITY + 1] - error[WIND + 1])
@@ -170,23 +204,24 @@ def along_drag(x, y, z, arm, k, error, noise):
 
 
 @njit
-def correct_by_drag(m, scratch, size, force, arm, drag, variance, matrix):
-    """Correct by the specific force across thrust, one axis after the other.
+def correct_by_drag(m, scratch, p, size, force, arm, rotor_drag, dt, matrix):
+    """Correct by the specific force across thrust, one axis after the other; adapt its variance.
 
     Args:
         m: The model's record.
         scratch: The record with the fields of `SCRATCH`.
+        p: The filter's parameters.
         size: Errors in the state.
         force: Specific force in body axes (3,) [m/s²].
         arm: What one metre of lever arm adds to it (2,) [1/s²].
-        drag: D [1/s].
-        variance: Of the measurement, each axis [m²/s⁴].
+        rotor_drag: The rotors' part of D [1/s].
+        dt: Time step [s].
         matrix: R̂ by rows.
-
-    Returns:
-        The innovation in body axes before the correction, two numbers [m/s²].
     """
     P, v, w, dx, column = m.covariance, m.velocity, m.wind, scratch.error, scratch.column
+    airspeed = math.sqrt((v[0] - w[0]) ** 2 + (v[1] - w[1]) ** 2 + v[2] ** 2)
+    drag = rotor_drag + p.frame_drag * airspeed
+    variance = least_variance(m, p, dt) + p.model_noise**2 * 2.0 * m.accel_square / dt
     first = innovation = 0.0
     for k in range(2):
         x, y, z = -drag * matrix[k], -drag * matrix[3 + k], -drag * matrix[6 + k]
@@ -195,12 +230,10 @@ def correct_by_drag(m, scratch, size, force, arm, drag, variance, matrix):
         innovation = min(max(force[k] - expected, -INNOVATION_MAX), INNOVATION_MAX)
         first = innovation if k == 0 else first
         for a in range(ERRORS):
-            across = x * (P[VELOCITY, a] - P[WIND, a]) + y * (P[VELOCITY + 1, a] - P[WIND + 1, a])
-            own = P[ACCEL_BIAS + k, a] + GRAVITY * P[OFFSET + k, a] + arm[k] * P[LEVER, a]
-            column[a] = across + (own + z * P[CLIMB, a])
+            column[a] = along_drag(x, y, z, arm[k], k, P[:, a], 0.0)
         total = along_drag(x, y, z, arm[k], k, column, variance)
         correct(P, size, dx, column, total, innovation - along_drag(x, y, z, arm[k], k, dx, 0.0))
-    return first, innovation
+    adapt_vibration(m, dt, rotate(m.quat, (first, innovation, 0.0)))
 
 
 @njit
@@ -208,13 +241,8 @@ def correct_by_zero_velocity(m, scratch, size, axes, variance, climb_variance):
     """Correct by the measurement v = 0, one axis after the other, of the first two or of all three."""
     P, v, dx, column = m.covariance, m.velocity, scratch.error, scratch.column
     for k in range(axes):
-        x, y, own = 0.0, 0.0, VELOCITY + k  # x, y: of θ × v̂
-        if k == 0:
-            y = v[2]
-        elif k == 1:
-            x = -v[2]
-        else:
-            x, y, own = v[1], -v[0], CLIMB
+        x, y = (0.0, -v[2], v[1])[k], (v[2], 0.0, -v[0])[k]  # of θ × v̂
+        own = CLIMB if k == 2 else VELOCITY + k
         for a in range(ERRORS):
             column[a] = x * P[TILT, a] + y * P[TILT + 1, a] + P[own, a]
         total = x * column[TILT] + y * column[TILT + 1] + column[own]
@@ -224,33 +252,29 @@ def correct_by_zero_velocity(m, scratch, size, axes, variance, climb_variance):
 
 
 @njit
-def correct_by_zero_rate(m, scratch, size, rate, variance):
+def correct_by_zero_rate(m, scratch, size, rate, dt):
     """Correct by the gyroscope of a vehicle at rest, which reads its bias."""
     P, dx, column = m.covariance, scratch.error, scratch.column
     for k in range(3):
         column[:] = P[GYRO_BIAS + k]
         residual = rate[k] - m.gyro_bias[k] - dx[GYRO_BIAS + k]
-        correct(P, size, dx, column, column[GYRO_BIAS + k] + variance, residual)
+        correct(P, size, dx, column, column[GYRO_BIAS + k] + REST_NOISE**2 / dt, residual)
 
 
 @njit
 def apply_error(m, dx):
     """Correct a model's state by the error that was estimated."""
-    qw, qx, qy, qz = m.quat
-    m.quat[:] = turned(qw, qx, qy, qz, dx[TILT], dx[TILT + 1])
-    rw, rx, ry, rz = exp_core(dx[TILT], dx[TILT + 1], 0.0)
-    v, w, b, c = m.velocity, m.wind, m.gyro_bias, m.accel_bias
-    v[:] = rotate_core(rw, rx, ry, rz, v[0], v[1], v[2])
-    w[0], w[1], _ = rotate_core(rw, rx, ry, rz, w[0], w[1], 0.0)
+    put(m.quat, turned(m.quat, dx[TILT], dx[TILT + 1]))
+    turn = exp_core(dx[TILT], dx[TILT + 1], 0.0)
+    v, w = rotate(turn, m.velocity), rotate(turn, (m.wind[0], m.wind[1], 0.0))
+    put(m.velocity, (v[0] + dx[VELOCITY], v[1] + dx[VELOCITY + 1], v[2] + dx[CLIMB]))
+    put(m.wind, (w[0] + dx[WIND], w[1] + dx[WIND + 1]))
     for i in range(3):
-        b[i] += dx[GYRO_BIAS + i]
+        m.gyro_bias[i] += dx[GYRO_BIAS + i]
     for i in range(2):
-        v[i] += dx[VELOCITY + i]
-        c[i] += dx[ACCEL_BIAS + i]
-        w[i] += dx[WIND + i]
+        m.accel_bias[i] += dx[ACCEL_BIAS + i]
         m.offset[i] += dx[OFFSET + i]
-    v[2] += dx[CLIMB]
-    c[2] += dx[ACCEL_BIAS_Z]
+    m.accel_bias[2] += dx[ACCEL_BIAS_Z]
     m.lever += dx[LEVER]
 
 
@@ -261,21 +285,22 @@ def mean_square(value, square, dt, time, memory):
 
 
 @njit
-def adapt_vibration(m, dt, x, y):
+def adapt_vibration(m, dt, now):
     """Take an innovation ν in world axes into its mean, and ¼ |ν[t] − ν[t−1]|², white, into its variance."""
+    change = (now[0] - m.innovation[0]) ** 2 + (now[1] - m.innovation[1]) ** 2
     if m.time > dt:
-        change = (x - m.innovation[0]) ** 2 + (y - m.innovation[1]) ** 2
         m.vibration += (0.25 * change - m.vibration) * dt / VIBRATION_MEMORY
-    m.innovation[0], m.innovation[1] = x, y
-    m.innovation_mean[0] += (x - m.innovation_mean[0]) * dt / GUST_WINDOW
-    m.innovation_mean[1] += (y - m.innovation_mean[1]) * dt / GUST_WINDOW
+    for k in range(2):
+        m.innovation[k] = now[k]
+        m.innovation_mean[k] += (now[k] - m.innovation_mean[k]) * dt / GUST_WINDOW
 
 
 @njit
-def gust_noise(m, noise, dt, drag):
+def gust_noise(m, p, dt, drag):
     """Process noise of the wind by a low-passed innovation beyond its variance [m²/s³]."""
     square = m.innovation_mean[0] ** 2 + m.innovation_mean[1] ** 2
-    return max(square - GUST_RATIO * noise * dt / GUST_WINDOW, 0.0) / GUST_WINDOW / (drag * drag)
+    usual = GUST_RATIO * least_variance(m, p, dt) * dt / GUST_WINDOW
+    return max(square - usual, 0.0) / GUST_WINDOW / (drag * drag)
 
 
 @njit
@@ -295,9 +320,8 @@ def at_rest(s, dt, gyro, accel):
 @njit
 def diverged(gyro_bias, velocity):
     """Whether an estimate is beyond what can be; a NaN is."""
-    possible = True
-    for value in gyro_bias:
-        possible &= abs(value) <= BIAS_MAX
+    bx, by, bz = gyro_bias
+    possible = within(bx, by, bz, BIAS_MAX)
     for value in velocity:
         possible &= abs(value) <= SPEED_MAX
     return not possible

@@ -19,41 +19,33 @@ import math
 
 import numpy as np
 
-from quadsim.rotation import rotate_core
 from quadsim.runs.compiled import njit
 from quadsim.vehicle import AIR_DENSITY, GRAVITY, Vehicle
 
 from ..driver import Array, CompiledFilter, Records
 from ..ekf import SIGMA_KNOWN
-from ..inline_math import roll_pitch_core
+from ..inline_math import roll_pitch_core, rotate
 from ..samples import run_all
 from .drag_aided import (
     ACCEL_BIAS,
-    ACCEL_BIAS_Z,
-    CLIMB,
     DRAG,
     FIRST_S,
-    GAP_SPEED,
     GYRO_BIAS,
     MODEL,
+    PARTS,
     REST,
-    REST_NOISE,
     SCRATCH,
-    TILT,
     VELOCITY,
     WIND,
     WIND_WINDOW,
-    adapt_vibration,
     apply_error,
     at_rest,
     correct_by_drag,
     correct_by_zero_rate,
     correct_by_zero_velocity,
     diverged,
-    gust_noise,
     mean_square,
-    propagate,
-    turn_by,
+    predict,
 )
 
 RECORD = np.dtype(
@@ -136,14 +128,10 @@ def adapt_bias(s, p, dt, removed):
 @njit
 def measure(s, p, dt, gyro, accel, matrix):
     """All corrections by one sample: adds to the error, reduces the covariance, adapts the noise."""
-    P, v, w = s.covariance, s.velocity, s.wind
-    speed = math.sqrt((v[0] - w[0]) ** 2 + (v[1] - w[1]) ** 2 + v[2] ** 2)
-    drag = math.sqrt(max(accel[2], 0.0) / GRAVITY) / p.drag_time + p.frame_drag * speed
-    variance = max(s.vibration, p.drag_noise**2 / dt) + p.model_noise**2 * s.accel_square / dt
+    P, v = s.covariance, s.velocity
     airspeed, bias = airspeed_variance(P), bias_variance(P)
-    along, across = correct_by_drag(s, s, DRAG, accel, NO_ARM, drag, variance, matrix)
-    x, y, _ = rotate_core(s.quat[0], s.quat[1], s.quat[2], s.quat[3], along, across, 0.0)
-    adapt_vibration(s, dt, x, y)
+    rotor_drag = math.sqrt(max(accel[2], 0.0) / GRAVITY) / p.drag_time
+    correct_by_drag(s, s, p, DRAG, accel, NO_ARM, rotor_drag, dt, matrix)
     if s.time > WIND_WINDOW:  # the first corrections are those of the initial state
         bias -= bias_variance(P)
         adapt_wind(s, dt, airspeed - airspeed_variance(P))
@@ -152,38 +140,29 @@ def measure(s, p, dt, gyro, accel, matrix):
     correct_by_zero_velocity(s, s, DRAG, 3, density / dt, p.climb_noise**2 / dt)
     s.speed_square = mean_square(s.speed_square, 0.5 * (v[0] ** 2 + v[1] ** 2), dt, s.time, SPEED_MEMORY)
     if at_rest(s, dt, gyro, accel):
-        correct_by_zero_rate(s, s, DRAG, gyro, REST_NOISE**2 / dt)
+        correct_by_zero_rate(s, s, DRAG, gyro, dt)
 
 
 @njit
 def step(s, p, sample):
     """See `driver`."""
-    v, c, walks = s.velocity, s.accel_bias, s.walks
-    dt, gyro, accel, unseen = sample.dt, sample.mean_gyro, sample.accel, sample.unseen
+    v, c, dt, gyro, accel = s.velocity, s.accel_bias, sample.dt, sample.mean_gyro, sample.accel
     s.time += dt
-    noise = max(s.vibration, p.drag_noise**2 / dt)
-    walks[TILT:VELOCITY] = p.gyro_noise**2 * dt + unseen
-    walks[VELOCITY:GYRO_BIAS] = p.accel_noise**2 * dt + GAP_SPEED**2 * unseen
-    walks[GYRO_BIAS:ACCEL_BIAS] = p.bias_noise**2 * dt
-    walks[ACCEL_BIAS:WIND] = p.accel_bias_noise**2 * dt
-    walks[WIND:CLIMB] = max(s.wind_noise, gust_noise(s, noise, dt, 1.0 / p.drag_time)) * dt
-    walks[CLIMB], walks[ACCEL_BIAS_Z] = walks[VELOCITY], walks[ACCEL_BIAS]
-    matrix = turn_by(s, gyro[0] * dt, gyro[1] * dt, gyro[2] * dt, dt)
-    propagate(s, s, DRAG, matrix, dt, True)
+    turn = (gyro[0] * dt, gyro[1] * dt, gyro[2] * dt)
+    matrix = predict(s, s, p, DRAG, turn, dt, 0.0, sample.unseen, 1.0 / p.drag_time, True)
     s.error[:] = 0.0
-    if accel[0] != 0.0 or accel[1] != 0.0 or accel[2] != 0.0:
-        qw, qx, qy, qz = s.quat
-        fx, fy, fz = rotate_core(qw, qx, qy, qz, accel[0] - c[0], accel[1] - c[1], accel[2] - c[2])
+    if sample.found:
+        fx, fy, fz = rotate(s.quat, (accel[0] - c[0], accel[1] - c[1], accel[2] - c[2]))
         now = (fx, fy, fz - GRAVITY)
         for k in range(3):  # trapezoidal rule
             v[k] += 0.5 * (now[k] + (s.accel_W[k] if s.time > dt else now[k])) * dt
             s.accel_W[k] = now[k]
-        s.accel_square = mean_square(s.accel_square, fx * fx + fy * fy, dt, s.time, ACCEL_MEMORY)
+        s.accel_square = mean_square(s.accel_square, 0.5 * (fx * fx + fy * fy), dt, s.time, ACCEL_MEMORY)
         measure(s, p, dt, gyro, accel, matrix)
     apply_error(s, s.error)
     if diverged(s.gyro_bias, s.velocity) or diverged(s.gyro_bias, s.wind):
         return math.nan, math.nan
-    return roll_pitch_core(s.quat[0], s.quat[1], s.quat[2], s.quat[3])
+    return roll_pitch_core(s.quat)
 
 
 @njit(cache=True, nogil=True)
@@ -199,12 +178,11 @@ class EkfDrag(CompiledFilter):
 
     def begin(self, states: Records, quat: Array, known: bool) -> None:
         """Start at an attitude that is known, or level with an unknown tilt."""
-        p = self.values
-        sigma = {part: p[f"{part}_sigma"] for part in ("attitude", "speed", "bias", "accel_bias", "wind")}
-        sigma["attitude"] = SIGMA_KNOWN if known else sigma["attitude"]
-        order = np.repeat([*sigma.values(), sigma["speed"], sigma["accel_bias"]], (2, 2, 3, 2, 2, 1, 1))
+        p, tilt, others = self.values, PARTS[:VELOCITY], PARTS[VELOCITY:DRAG]
+        sigma = [SIGMA_KNOWN if known else p[f"{part}_sigma"] for part in tilt]
+        sigma += [p[f"{part}_sigma"] for part in others]
         states["quat"] = quat
-        states["covariance"][:, range(DRAG), range(DRAG)] = order**2
+        states["covariance"][:, range(DRAG), range(DRAG)] = np.square(sigma)
         states["wind_noise"], states["speed_square"] = p["wind_noise"] ** 2, p["speed_sigma"] ** 2
 
     def tilt_covariance(self) -> Array:

@@ -42,19 +42,19 @@ import math
 
 import numpy as np
 
-from quadsim.rotation import multiply_core, rotate_core
 from quadsim.runs.compiled import njit
 from quadsim.vehicle import GRAVITY
 
 from ...sanitise import within
 from ..driver import Array, CompiledFilter, Records
 from ..eskf import tilt_core, turned
-from ..inline_math import atan2_core, exp_core, roll_pitch_core
+from ..inline_math import atan2_core, exp_core, multiply, put, roll_pitch_core, rotate
 from ..samples import run_all
 from .drag_aided import (
     CLIMB,
     ERRORS,
     OFFSET,
+    PARTS,
     REST,
     SCRATCH,
     SHARED,
@@ -64,7 +64,16 @@ from .drag_aided import (
     mean_square,
 )
 from .imm_mixing import combine, mix
-from .imm_model import COUNT, MODELS, MULTIROTOR, USUAL_FIRST, across_thrust, correct_model, predict
+from .imm_model import (
+    COUNT,
+    MODELS,
+    MULTIROTOR,
+    USUAL_FIRST,
+    Interval,
+    across_thrust,
+    correct_model,
+    predict_model,
+)
 from .imm_model import STATE as MODEL
 
 RECORD = np.dtype(
@@ -104,8 +113,6 @@ RECORD = np.dtype(
 
 ESTIMATED = [*range(CLIMB), *range(OFFSET, ERRORS)]
 """The errors that a multirotor's model has."""
-SIZES = (2, 2, 3, 2, 2, 2, 1)
-"""Numbers of them with one initial standard deviation."""
 MODEL_HZ = 50.0
 """Rate at which the models take the readings [1/s]; readings of a lower rate are taken as they come."""
 RECTIFIED = 0.1
@@ -132,42 +139,38 @@ def take_vibration(s, dt, change):
 @njit
 def accumulate(s, sample):
     """Take a `Sample` into the sums since the last update of the models."""
-    dt, (gx, gy, gz), (ax, ay, az) = sample.dt, sample.gyro, sample.accel
-    ew, ex, ey, ez = exp_core(gx * dt, gy * dt, gz * dt)
-    tw, tx, ty, tz = s.turn
-    s.turn[:] = multiply_core(tw, tx, ty, tz, ew, ex, ey, ez)
-    px, py, pz = s.push
-    known = s.force[0] != 0.0 or s.force[1] != 0.0 or s.force[2] != 0.0
-    change = (ax - s.force[0], ay - s.force[1], az - s.force[2])
+    dt, gyro, accel, last = sample.dt, sample.gyro, sample.accel, s.force
+    turn = exp_core(gyro[0] * dt, gyro[1] * dt, gyro[2] * dt)
+    put(s.turn, multiply(s.turn, turn))
+    known = last[0] != 0.0 or last[1] != 0.0 or last[2] != 0.0
+    change = (accel[0] - last[0], accel[1] - last[1], accel[2] - last[2])
     blow = known and not within(change[0], change[1], change[2], JERK_MAX * dt)
-    if (ax != 0.0 or ay != 0.0 or az != 0.0) and not blow:
-        if known:  # trapezoidal rule
-            px, py, pz = px + 0.5 * dt * s.force[0], py + 0.5 * dt * s.force[1], pz + 0.5 * dt * s.force[2]
-            px, py, pz = rotate_core(ew, -ex, -ey, -ez, px, py, pz)
-            px, py, pz = px + 0.5 * dt * ax, py + 0.5 * dt * ay, pz + 0.5 * dt * az
-            take_vibration(s, dt, change)
-        else:
-            px, py, pz = rotate_core(ew, -ex, -ey, -ez, px, py, pz)
-            px, py, pz = px + dt * ax, py + dt * ay, pz + dt * az
-        s.force_time += dt
-        s.force_sum[0] += dt * ax
-        s.force_sum[1] += dt * ay
-        s.force_sum[2] += dt * az
-    else:
-        px, py, pz = rotate_core(ew, -ex, -ey, -ez, px, py, pz)
-        ax = ay = az = 0.0
-    s.push[:] = px, py, pz
-    s.force[:] = ax, ay, az
+    found = sample.found and not blow
+    before = 0.5 * dt if found and known else 0.0  # trapezoidal rule
+    after = dt - before if found else 0.0
+    if found and known:
+        take_vibration(s, dt, change)
+    push = (s.push[0] + before * last[0], s.push[1] + before * last[1], s.push[2] + before * last[2])
+    push = rotate((turn[0], -turn[1], -turn[2], -turn[3]), push)
+    share = dt / (dt + RATE_MEMORY)
+    for k in range(3):
+        s.push[k] = push[k] + after * accel[k]
+        s.force_sum[k] += dt * accel[k] if found else 0.0
+        s.force[k] = accel[k] if found else 0.0
+        s.last_rate[k] += share * (gyro[k] - s.last_rate[k])
+    s.force_time += dt if found else 0.0
     s.interval += dt
     s.time += dt
     s.unseen += sample.unseen
     if sample.rotor_square > 0.0:
         s.rotor_time += dt
         s.rotor_sum += dt * sample.rotor_square
-    share = dt / (dt + RATE_MEMORY)
-    s.last_rate[0] += share * (gx - s.last_rate[0])
-    s.last_rate[1] += share * (gy - s.last_rate[1])
-    s.last_rate[2] += share * (gz - s.last_rate[2])
+
+
+@njit
+def scaled(scale, v):
+    """A vector times a number, a tuple."""
+    return scale * v[0], scale * v[1], scale * v[2]
 
 
 @njit
@@ -175,7 +178,7 @@ def rotation_vector(turn):
     """Rotation vector of a quaternion of a turn of less than π [rad]."""
     length = math.sqrt(turn[1] ** 2 + turn[2] ** 2 + turn[3] ** 2)
     scale = 2.0 if length < 1e-9 else 2.0 * atan2_core(length, turn[0]) / length
-    return scale * turn[1], scale * turn[2], scale * turn[3]
+    return scaled(scale, turn[1:])
 
 
 @njit
@@ -192,41 +195,41 @@ def weigh(s, change):
 
 
 @njit
-def update_models(s, p):
-    """Take the interval that is over into all models, and combine them."""
-    dt, evidence = s.interval, s.evidence
-    vector = rotation_vector(s.turn)
-    known = s.force_time > 0.5 * dt
-    scale = 1.0 / s.force_time if known else 0.0
-    accel = (scale * s.push[0], scale * s.push[1], scale * s.push[2])
-    body = (scale * s.force_sum[0], scale * s.force_sum[1], scale * s.force_sum[2])
+def interval(s, p):
+    """The `Interval` that is over; the first with a specific force begins the models."""
+    dt, turn = s.interval, rotation_vector(s.turn)
+    rate = (turn[0] / dt, turn[1] / dt, turn[2] / dt)
+    found = s.force_time > 0.5 * dt
+    scale = 1.0 / s.force_time if found else 0.0
+    accel, body = scaled(scale, s.push), scaled(scale, s.force_sum)
     arm = ((s.last_rate[1] - s.rate_before[1]) / dt, (s.rate_before[0] - s.last_rate[0]) / dt)
     if s.time < 1.5 * dt:  # no rate before the first
         arm = (0.0, 0.0)
     s.rate_before[:] = s.last_rate
-    rate = (vector[0] / dt, vector[1] / dt, vector[2] / dt)
-    if s.begun == 0.0 and known:
+    if s.begun == 0.0 and found:
         begin_at(s, accel)
-    thrust = thrust_of_rotors(s, p, dt, body[2]) if known and s.rotor_time > 0.5 * dt else body[2]
-    x, y = across_thrust(s.models[MULTIROTOR], body, arm)
-    square = 0.5 * (x * x + y * y)
-    s.body_square = (
-        mean_square(s.body_square, square, dt, s.time, p.square_memory) if known else s.body_square
-    )
-    resting = known and at_rest(s, dt, rate, body)
+    thrust = thrust_of_rotors(s, p, dt, body[2]) if found and s.rotor_time > 0.5 * dt else body[2]
+    resting = found and at_rest(s, dt, rate, body)
+    return Interval(dt, turn, rate, s.unseen, found, accel, body, thrust, arm, resting)
+
+
+@njit
+def update_models(s, p):
+    """Take the interval that is over into all models, and combine them."""
+    x = interval(s, p)
+    if x.found:
+        across, along = across_thrust(s.models[MULTIROTOR], x)
+        square = 0.5 * (across * across + along * along)
+        s.body_square = mean_square(s.body_square, square, x.dt, s.time, p.square_memory)
     for k in range(COUNT):
-        m = s.models[k]
-        matrix = predict(m, k, s, p, vector, accel, known)
-        evidence[k] = 0.0
-        if known:
-            evidence[k] = correct_model(m, k, s, p, resting, rate, accel, body, thrust, arm, matrix)
-    change = dt / (COUNT * p.sojourn_time)
+        matrix = predict_model(s.models[k], k, s, p, x)
+        s.evidence[k] = correct_model(s.models[k], k, s, p, x, matrix) if x.found else 0.0
+    change = x.dt / (COUNT * p.sojourn_time)
     weigh(s, change)
     combine(s)
     mix(s, p, change)
     s.interval = s.force_time = s.unseen = s.rotor_time = s.rotor_sum = 0.0
-    s.turn[0], s.turn[1:], s.push[:] = 1.0, 0.0, 0.0
-    s.force_sum[:] = 0.0
+    s.turn[0], s.turn[1:], s.push[:], s.force_sum[:] = 1.0, 0.0, 0.0, 0.0
 
 
 @njit
@@ -248,11 +251,9 @@ def thrust_of_rotors(s, p, dt, along):
 @njit
 def begin_at(s, accel):
     """Start all models at the tilt at which the first force is vertical."""
-    x, y = tilt_core(accel[0], accel[1], accel[2])
+    x, y = tilt_core(accel)
     for k in range(COUNT):
-        m = s.models[k]
-        qw, qx, qy, qz = m.quat
-        m.quat[:] = turned(qw, qx, qy, qz, x, y)
+        put(s.models[k].quat, turned(s.models[k].quat, x, y))
     s.begun = 1.0
 
 
@@ -268,24 +269,17 @@ def inverted(s, p):
 
 @njit
 def step(s, p, sample):
-    """See `driver`."""
+    """See `driver`. Between updates of the models, the combined attitude turns by the sample."""
     accumulate(s, sample)
-    if s.interval >= 1.0 / MODEL_HZ - 0.5 * sample.dt:
+    dt, gyro, b = sample.dt, sample.gyro, s.gyro_bias
+    if s.interval < 1.0 / MODEL_HZ - 0.5 * dt:
+        turn = exp_core((gyro[0] - b[0]) * dt, (gyro[1] - b[1]) * dt, (gyro[2] - b[2]) * dt)
+        put(s.quat, multiply(s.quat, turn))
+    else:
         update_models(s, p)
         if diverged(s.gyro_bias, s.velocity) or inverted(s, p):
             return math.nan, math.nan
-    else:
-        turn_on(s, sample)
-    return roll_pitch_core(s.quat[0], s.quat[1], s.quat[2], s.quat[3])
-
-
-@njit
-def turn_on(s, sample):
-    """Turn the combined attitude by a sample, until the models have taken it."""
-    b, dt, (gx, gy, gz) = s.gyro_bias, sample.dt, sample.gyro
-    ew, ex, ey, ez = exp_core((gx - b[0]) * dt, (gy - b[1]) * dt, (gz - b[2]) * dt)
-    qw, qx, qy, qz = s.quat
-    s.quat[:] = multiply_core(qw, qx, qy, qz, ew, ex, ey, ez)
+    return roll_pitch_core(s.quat)
 
 
 @njit(cache=True, nogil=True)
@@ -306,11 +300,8 @@ class InteractingModels(CompiledFilter):
 
         A start that is given may be wrong, and would pass for a bias: its tilt has the same variance.
         """
-        models, parts = (
-            states["models"],
-            ("attitude", "speed", "bias", "accel_bias", "wind", "offset", "lever"),
-        )
-        sigma = np.repeat([self.values[f"{part}_sigma"] for part in parts], SIZES)
+        models = states["models"]
+        sigma = np.array([self.values[f"{part}_sigma"] for part in PARTS[ESTIMATED]])
         models["quat"], states["quat"] = quat[:, None], quat
         models["wind_noise"], models["usual_ratio"] = self.values["wind_noise"] ** 2, USUAL_FIRST
         models["covariance"][:, :, ESTIMATED, ESTIMATED] = sigma**2

@@ -2,11 +2,10 @@
 
 import math
 
-from quadsim.rotation import multiply_core, rotate_core
 from quadsim.runs.compiled import njit
 
 from ..eskf import turned
-from ..inline_math import atan2_core
+from ..inline_math import atan2_core, multiply, put, rotate
 from .drag_aided import (
     ACCEL_BIAS,
     ERRORS,
@@ -31,15 +30,13 @@ def share_heading(s):
     bw, bx, by, bz = s.models[best].quat
     for k in range(COUNT):
         m = s.models[k]
-        qw, qx, qy, qz = m.quat
-        w, x, y, z = multiply_core(qw, qx, qy, qz, bw, -bx, -by, -bz)
+        w, x, y, z = multiply(m.quat, (bw, -bx, -by, -bz))
         length = math.sqrt(w * w + z * z)
         cosine, sine = (w / length, z / length) if length > 0.0 else (1.0, 0.0)  # of half the heading
-        m.quat[:] = multiply_core(cosine, 0.0, 0.0, -sine, qw, qx, qy, qz)
-        m.velocity[0], m.velocity[1], _ = rotate_core(
-            cosine, 0.0, 0.0, -sine, m.velocity[0], m.velocity[1], 0.0
-        )
-        m.wind[0], m.wind[1], _ = rotate_core(cosine, 0.0, 0.0, -sine, m.wind[0], m.wind[1], 0.0)
+        back = (cosine, 0.0, 0.0, -sine)
+        put(m.quat, multiply(back, m.quat))
+        m.velocity[0], m.velocity[1], _ = rotate(back, (m.velocity[0], m.velocity[1], 0.0))
+        m.wind[0], m.wind[1], _ = rotate(back, (m.wind[0], m.wind[1], 0.0))
         x, y = cosine * x + sine * y, cosine * y - sine * x
         across = math.sqrt(x * x + y * y)
         scale = 2.0 if across < 1e-9 else 2.0 * atan2_core(across, length) / across
@@ -49,7 +46,7 @@ def share_heading(s):
 
 @njit
 def distance(m, s, d):
-    """Error of a combined state against a model's, d (14,); `tilt` is from the combined attitude."""
+    """Error of a combined state against a model's, d (ERRORS,); `tilt` is from the combined attitude."""
     x, y, v = m.tilt[0], m.tilt[1], s.velocity
     d[TILT], d[TILT + 1] = x, y
     d[VELOCITY] = m.velocity[0] - v[0] - y * v[2]
@@ -64,10 +61,8 @@ def distance(m, s, d):
 def combine(s):
     """Mean and covariance over all models of what they share."""
     best, d = share_heading(s), s.error
-    x = y = 0.0
-    s.velocity[:], s.gyro_bias[:], s.accel_bias[:] = 0.0, 0.0, 0.0
-    s.covariance[:] = 0.0
-    s.accel_square = 0.0
+    x = y = s.accel_square = 0.0
+    s.velocity[:], s.gyro_bias[:], s.accel_bias[:], s.covariance[:] = 0.0, 0.0, 0.0, 0.0
     for k in range(COUNT):
         m, share = s.models[k], s.probability[k]
         x, y = x + share * m.tilt[0], y + share * m.tilt[1]
@@ -75,10 +70,8 @@ def combine(s):
         for i in range(3):
             s.velocity[i] += share * m.velocity[i]
             s.gyro_bias[i] += share * m.gyro_bias[i]
-        for i in range(2):
             s.accel_bias[i] += share * m.accel_bias[i]
-    bw, bx, by, bz = s.models[best].quat
-    s.quat[:] = turned(bw, bx, by, bz, x, y)
+    put(s.quat, turned(s.models[best].quat, x, y))
     for k in range(COUNT):
         m, share = s.models[k], s.probability[k]
         m.tilt[0], m.tilt[1] = m.tilt[0] - x, m.tilt[1] - y
@@ -100,20 +93,16 @@ def mix(s, p, change):
         own, both = 1.0 - share, share * (1.0 - share)
         for i in range(SHARED):
             for j in range(SHARED):
-                m.covariance[i, j] = (
-                    own * m.covariance[i, j] + share * s.covariance[i, j] + both * d[i] * d[j]
-                )
+                mixed = own * m.covariance[i, j] + share * s.covariance[i, j]
+                m.covariance[i, j] = mixed + both * d[i] * d[j]
         if k == MULTIROTOR:
             beyond = max(abs(m.wind[0]), abs(m.wind[1])) > SPEED_MAX
             forget_airframe(m, p, 1.0 if beyond else share)
-        qw, qx, qy, qz = m.quat
-        x, y = -share * m.tilt[0], -share * m.tilt[1]
-        m.quat[:] = turned(qw, qx, qy, qz, x, y)
+        put(m.quat, turned(m.quat, -share * m.tilt[0], -share * m.tilt[1]))
         m.accel_square += share * (s.accel_square - m.accel_square)
         for i in range(3):
             m.velocity[i] += share * (s.velocity[i] - m.velocity[i])
             m.gyro_bias[i] += share * (s.gyro_bias[i] - m.gyro_bias[i])
-        for i in range(2):
             m.accel_bias[i] += share * (s.accel_bias[i] - m.accel_bias[i])
 
 

@@ -15,37 +15,31 @@ filter which does not know the step:
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from quadsim.rotation import rotate_core
 from quadsim.runs.compiled import njit
 from quadsim.vehicle import GRAVITY
 
+from ..inline_math import rotate
 from .drag_aided import (
-    ACCEL_BIAS,
-    CLIMB,
     ERRORS,
-    GAP_SPEED,
     GYRO_BIAS,
     LEVER,
     MODEL,
     OFFSET,
-    REST_NOISE,
     SHARED,
     TILT,
     VELOCITY,
     WIND,
     WIND_WINDOW,
-    adapt_vibration,
     apply_error,
     correct_by_drag,
     correct_by_zero_rate,
     correct_by_zero_velocity,
-    gust_noise,
     mean_square,
-    propagate,
-    turn_by,
+    predict,
 )
 
 MODELS = ("multirotor", "free", "hand")
@@ -73,6 +67,31 @@ USUAL_DELAY = 5.0
 """Time for which the first one counts [s]."""
 FREEDOM = 4.0
 """Degrees of freedom of Student's t."""
+
+
+class Interval(NamedTuple):
+    """Readings since the last update of the models, in compiled code."""
+
+    dt: float
+    """Its length [s]."""
+    turn: tuple[float, float, float]
+    """Rotation vector that the gyroscope measured [rad]."""
+    rate: tuple[float, float, float]
+    """Mean rate [rad/s]."""
+    unseen: float
+    """Variance of the unmeasured turn [rad²]."""
+    found: bool
+    """Whether there is a specific force."""
+    accel: tuple[float, float, float]
+    """Its mean, axes at the end of the interval [m/s²]."""
+    body: tuple[float, float, float]
+    """Its mean in body axes, which turn [m/s²]."""
+    thrust: float
+    """Thrust per mass [m/s²]."""
+    arm: tuple[float, float]
+    """What one metre of lever arm adds to the specific force [1/s²]."""
+    resting: bool
+    """Whether the sensors are at rest."""
 
 
 @njit
@@ -117,10 +136,10 @@ def velocity_density(m, sigma):
 
 
 @njit
-def across_thrust(m, force, arm):
-    """Force (3,) across the direction of thrust, less the accelerometer's bias and the lever arm's [m/s²]."""
-    x = force[0] - m.accel_bias[0] - GRAVITY * m.offset[0] - arm[0] * m.lever
-    return x, force[1] - m.accel_bias[1] - GRAVITY * m.offset[1] - arm[1] * m.lever
+def across_thrust(m, x):
+    """Force across the direction of thrust, less the accelerometer's bias and the lever arm's [m/s²]."""
+    first = x.body[0] - m.accel_bias[0] - GRAVITY * m.offset[0] - x.arm[0] * m.lever
+    return first, x.body[1] - m.accel_bias[1] - GRAVITY * m.offset[1] - x.arm[1] * m.lever
 
 
 @njit
@@ -131,34 +150,17 @@ def force_density(x, y, mean_square, least):
 
 
 @njit
-def predict(m, k, s, p, vector, accel, known):
-    """Propagate one model over the interval; R̂ by rows.
-
-    Args:
-        m: The model's record.
-        k: Which one it is.
-        s: The filter's record.
-        p: Its parameters.
-        vector: Rotation vector that the gyroscope measured [rad].
-        accel: Mean specific force, axes at the end of the interval (3,) [m/s²].
-        known: Whether there is one.
-    """
-    walks, m.time, dt = s.walks, s.time, s.interval
-    v, c = m.velocity, m.accel_bias
-    matrix = turn_by(m, vector[0], vector[1], vector[2], dt)
-    rate_square = (vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2) / dt
-    walks[TILT:VELOCITY] = p.gyro_noise**2 * dt + p.turn_noise**2 * rate_square + s.unseen
-    walks[VELOCITY:GYRO_BIAS] = p.accel_noise**2 * dt + GAP_SPEED**2 * s.unseen
-    walks[GYRO_BIAS:ACCEL_BIAS] = p.bias_noise**2 * dt
-    walks[ACCEL_BIAS:WIND] = p.accel_bias_noise**2 * dt
-    noise = max(m.vibration, p.drag_noise**2 / dt)
-    walks[WIND:CLIMB], walks[CLIMB:OFFSET] = max(m.wind_noise, gust_noise(m, noise, dt, p.drag)) * dt, 0.0
-    walks[OFFSET:LEVER] = p.offset_noise**2 * dt
-    walks[LEVER] = p.lever_noise**2 * dt
-    propagate(m, s, size_of(k), matrix, dt, False)
-    if known:
-        qw, qx, qy, qz = m.quat
-        fx, fy, fz = rotate_core(qw, qx, qy, qz, accel[0] - c[0], accel[1] - c[1], accel[2])
+def predict_model(m, k, s, p, x):
+    """Propagate model k of the filter s over an interval; R̂ by rows."""
+    v, c, dt, turn = m.velocity, m.accel_bias, x.dt, x.turn
+    m.time = s.time
+    rate_square = (turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2) / dt
+    s.walks[OFFSET:LEVER] = p.offset_noise**2 * dt
+    s.walks[LEVER] = p.lever_noise**2 * dt
+    scale_error = p.turn_noise**2 * rate_square
+    matrix = predict(m, s, p, size_of(k), turn, dt, scale_error, x.unseen, p.drag, False)
+    if x.found:
+        fx, fy, fz = rotate(m.quat, (x.accel[0] - c[0], x.accel[1] - c[1], x.accel[2]))
         v[0], v[1] = v[0] + fx * dt, v[1] + fy * dt
         v[2] += (fz - GRAVITY - v[2] / p.climb_time) * dt
         square = 0.5 * (fx * fx + fy * fy)
@@ -167,49 +169,29 @@ def predict(m, k, s, p, vector, accel, known):
 
 
 @njit
-def correct_model(m, k, s, p, resting, rate, accel, body, thrust, arm, matrix):
-    """Correct model k by its measurements; logarithm of their likelihood, of one measurement.
-
-    Args:
-        m: The model's record.
-        k: Which one it is.
-        s: The filter's record.
-        p: Its parameters.
-        resting: Whether the sensors are at rest.
-        rate: Mean rate (3,) [rad/s].
-        accel: Mean specific force, axes at the end of the interval (3,) [m/s²].
-        body: Its mean in body axes, which turn (3,) [m/s²].
-        thrust: Thrust per mass [m/s²].
-        arm: What one metre of lever arm adds to that (2,) [1/s²].
-        matrix: R̂ by rows.
-    """
-    P, v, w, dt, size = m.covariance, m.velocity, m.wind, s.interval, size_of(k)
-    dx = s.error
+def correct_model(m, k, s, p, x, matrix):
+    """Correct model k of the filter s by an interval's measurements; logarithm of their likelihood."""
+    P, accel, dt, size, dx = m.covariance, x.accel, x.dt, size_of(k), s.error
     dx[:] = 0.0
     speed = p.hand_speed if k == HAND else p.flight_speed
     density = velocity_density(m, speed) * dt / p.speed_time
-    weight = min(dt / p.evidence_time, 1.0)
     before = P[TILT, TILT] + P[TILT + 1, TILT + 1]
     if k == MULTIROTOR:
-        airspeed = math.sqrt((v[0] - w[0]) ** 2 + (v[1] - w[1]) ** 2 + v[2] ** 2)
-        drag = p.drag * math.sqrt(max(thrust, 0.0) / GRAVITY) + p.frame_drag * airspeed
-        variance = max(m.vibration, p.drag_noise**2 / dt) + p.model_noise**2 * 2.0 * m.accel_square / dt
-        along, across = correct_by_drag(m, s, size, body, arm, drag, variance, matrix)
-        qw, qx, qy, qz = m.quat
-        x, y, _ = rotate_core(qw, qx, qy, qz, along, across, 0.0)
-        adapt_vibration(m, dt, x, y)
+        rotor_drag = p.drag * math.sqrt(max(x.thrust, 0.0) / GRAVITY)
+        correct_by_drag(m, s, p, size, x.body, x.arm, rotor_drag, dt, matrix)
         if m.time > WIND_WINDOW:  # the first corrections are those of the initial state
             adapt_wind(m, p, dt, (dx[VELOCITY] - dx[WIND], dx[VELOCITY + 1] - dx[WIND + 1]))
-        x, y = across_thrust(m, body, arm)
-        density += weight * force_density(x, y, s.body_square, p.least_accel)
+        first, second = across_thrust(m, x)
+        square = s.body_square
     else:
-        x = matrix[0] * accel[0] + matrix[1] * accel[1] + matrix[2] * accel[2]
-        y = matrix[3] * accel[0] + matrix[4] * accel[1] + matrix[5] * accel[2]
-        density += weight * force_density(x, y, m.accel_square, p.least_accel)
-    speed = p.rest_speed if resting else speed
+        first = matrix[0] * accel[0] + matrix[1] * accel[1] + matrix[2] * accel[2]
+        second = matrix[3] * accel[0] + matrix[4] * accel[1] + matrix[5] * accel[2]
+        square = m.accel_square
+    density += min(dt / p.evidence_time, 1.0) * force_density(first, second, square, p.least_accel)
+    speed = p.rest_speed if x.resting else speed
     correct_by_zero_velocity(m, s, size, 2, speed * speed * p.speed_time / dt, 0.0)
-    if resting:
-        correct_by_zero_rate(m, s, size, rate, REST_NOISE**2 / dt)
+    if x.resting:
+        correct_by_zero_rate(m, s, size, x.rate, dt)
     adapt_bias(m, p, dt, dx, before - P[TILT, TILT] - P[TILT + 1, TILT + 1], matrix)
     apply_error(m, dx)
     return density
