@@ -20,6 +20,7 @@ from estimators.metrics import attitude_error, inclination_error
 from estimators.registry import FILTERPY
 from estimators.running import run_quietly
 from estimators.tuned import load_tuning
+from quadsim.estimator import Readings
 from quadsim.flight.recipe import load_recipe
 from quadsim.runs.console import progress_bar
 from quadsim.vehicle import Vehicle, with_drag
@@ -107,7 +108,8 @@ def result_rows(done: Evaluation, domain: str, data: Path) -> list[str]:
 def mean_error(name: str, flights: Flights, domain: str, vehicle: Vehicle | None) -> float:
     """Mean over flights of the mean absolute error [deg]."""
     est = create(name, flights.rate_hz, tuning=tuning_of(name, domain), vehicle=vehicle)
-    return attitude_error(run_quietly(est, flights.gyro, flights.accel, flights.start), flights.truth).mean
+    estimate = run_quietly(est, Readings(flights.gyro, flights.accel), flights.start)
+    return attitude_error(estimate, flights.truth).mean
 
 
 def elsewhere(data: Path) -> Iterator[tuple[str, str, xr.Dataset]]:
@@ -146,13 +148,15 @@ def spoilt_rows(dataset: xr.Dataset, domain: str) -> list[str]:
         if name in (*LEFT_OUT, *FILTERPY):
             continue
         est = create(name, flights.rate_hz, tuning=tuning_of(name, domain), vehicle=vehicle)
-        wanted, cells = run_quietly(est, *clean), []
+        wanted, cells = run_quietly(est, Readings(*clean)), []
         for sensor, samples, reading in SPOILT.values():
             gyro, accel = (each.copy() for each in clean)
             for kind, values in (("gyro", gyro), ("accel", accel)):
                 if sensor in (kind, "both"):
                     values[:, at : at + samples] = reading
-            error = inclination_error(run_quietly(est, gyro, accel), wanted)[:, -second:].mean(axis=1)
+            error = inclination_error(run_quietly(est, Readings(gyro, accel)), wanted)[:, -second:].mean(
+                axis=1
+            )
             cells.append(f"{np.median(error):.2f} / {error.max():.2f}")
         rows.append(row(name, *cells))
     return rows

@@ -3,16 +3,17 @@
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from quadsim.estimator import AttitudeEstimator, receives_truth
+from quadsim.estimator import AttitudeEstimator, Readings, receives_truth
+from quadsim.own import named_errors
 from quadsim.rotation import quat_from_roll_pitch
 from quadsim.vehicle import GRAVITY
 
-from .custom import tried
+from .custom import made_of
 from .metrics import up_in_body
 from .registry import create
-from .running import differ, run_quietly
+from .running import differ, run_quietly, stream
 
 Array = NDArray[np.float64]
 Make = Callable[[], AttitudeEstimator]
@@ -40,33 +41,15 @@ def check_estimator(estimator: str | Callable[[float], AttitudeEstimator], rate_
     def make() -> AttitudeEstimator:
         if isinstance(estimator, str):
             return create(estimator, rate_hz, vehicle="hummingbird")
-        try:
-            made = estimator(rate_hz)
-        except (Exception, SystemExit) as error:
-            raise ValueError(f"{name} is made with one argument, rate_hz: {error}") from error
-        tried(name, made)
-        if not hasattr(made, "rate_hz"):
-            made.rate_hz = rate_hz
-        return made
+        return made_of(name, estimator, rate_hz, {})
 
     make()
     for check, about in CHECKS.items():
-        try:
+        failing = f"{name} fails {check.__name__.removeprefix('_')}: {about};"
+        with named_errors(f"{failing} it", passing=()):
             seen = check(make)
-        except (Exception, SystemExit) as error:
-            seen = f"{type(error).__name__}: {error}"
         if seen:
-            raise ValueError(f"{name} fails {check.__name__.removeprefix('_')}: {about}; {seen}")
-
-
-def _shapes(make: Make) -> str:
-    for n in (1, VEHICLES):
-        est = make()
-        est.reset(n, roll_pitch=None)
-        out = est.update(*(each[:, 0] for each in _motion(n)))
-        if np.shape(out) != (n, 2):
-            return f"for {n} vehicle(s) its shape is {np.shape(out)}"
-    return ""
+            raise ValueError(f"{failing} {seen}")
 
 
 def _finite(make: Make) -> str:
@@ -75,29 +58,22 @@ def _finite(make: Make) -> str:
 
 
 def _at_rest(make: Make) -> str:
-    tilt, est = np.array([0.15, -0.15]), make()
-    readings = np.zeros((1, 2000, 3)), np.tile(GRAVITY * up_in_body(tilt), (1, 2000, 1))
-    quat = np.tile(quat_from_roll_pitch(tilt), (1, 2000, 1)) if receives_truth(est) else None
-    most = np.degrees(np.abs(run_quietly(est, *readings, quat=quat)[:, -100:] - tilt).max())
+    tilt = np.array([0.15, -0.15])
+    accel = np.tile(GRAVITY * up_in_body(tilt), (1, 2000, 1))
+    out = _estimates(make(), Readings(np.zeros_like(accel), accel), tilt=tilt)
+    most = np.degrees(np.abs(out[:, -100:] - tilt).max())
     return "" if most < 5.0 else f"its error is {most:.1f}°"
 
 
 def _batch_equals_single(make: Make) -> str:
-    together = _estimates(make())
-    alone = [_estimates(make(), *(each[k : k + 1] for each in _motion())) for k in range(VEHICLES)]
+    together, motion = _estimates(make()), _motion()
+    alone = [_estimates(make(), motion.map(lambda each, k=k: each[k : k + 1])) for k in range(VEHICLES)]
     return differ(together, np.concatenate(alone), SAME)
 
 
 def _sequence_equals_stream(make: Make) -> str:
-    gyro, accel = _motion()
     est = make()
-    est.reset(VEHICLES, roll_pitch=None)
-    stream = np.empty((VEHICLES, SAMPLES, 2))
-    for t in range(SAMPLES):
-        if receives_truth(est):
-            return ""  # it is fed the truth
-        stream[:, t] = est.update(gyro[:, t].copy(), accel[:, t].copy())
-    return differ(_estimates(make()), stream, SAME)
+    return "" if receives_truth(est) else differ(_estimates(est), stream(est, _motion(), None), SAME)
 
 
 def _repeatable(make: Make) -> str:
@@ -107,43 +83,37 @@ def _repeatable(make: Make) -> str:
 
 
 def _keeps_arrays(make: Make) -> str:
-    est, (gyro, accel) = make(), _motion()
+    est, given, same = make(), _motion(), _motion()
     if receives_truth(est):
         return ""
     est.reset(VEHICLES, roll_pitch=None)
-    given = gyro.copy(), accel.copy()
-    first = est.update(given[0][:, 0], given[1][:, 0])
+    first = est.update(given.gyro[:, 0], given.accel[:, 0])
     kept = np.array(first)
     for t in range(1, 20):
-        est.update(given[0][:, t], given[1][:, t])
-    if not (np.array_equal(given[0], gyro) and np.array_equal(given[1], accel)):
+        est.update(given.gyro[:, t], given.accel[:, t])
+    if not (np.array_equal(given.gyro, same.gyro) and np.array_equal(given.accel, same.accel)):
         return "gyro or accel is another after update"
     return differ(np.asarray(first), kept, SAME)
 
 
 def _missing_samples(make: Make) -> str:
-    gyro, accel = _motion()
-    gyro[:, 50:60], accel[1, 70:80] = np.nan, np.nan
-    out = _estimates(make(), gyro, accel)
+    readings = _motion()
+    readings.gyro[:, 50:60], readings.accel[1, 70:80] = np.nan, np.nan
+    out = _estimates(make(), readings)
     return "" if np.isfinite(out[:, -100:]).all() else "estimates after missing samples are not finite"
 
 
 def _known_start(make: Make) -> str:
-    est = make()
-    est.reset(VEHICLES, roll_pitch=np.full((VEHICLES, 2), 0.1))
-    if receives_truth(est):
-        return ""
-    out = np.asarray(est.update(*(each[:, 0] for each in _motion())))
-    return "" if np.isfinite(out).all() else "then the estimate is not finite"
+    out = _estimates(make(), start=np.full((VEHICLES, 2), 0.1))
+    return "" if np.isfinite(out[:, 0]).all() else "then the estimate is not finite"
 
 
 CHECKS: dict[Callable[[Make], str], str] = {
-    _shapes: "update returns roll and pitch of n vehicles, (n, 2)",
     _finite: "estimates are finite",
     _at_rest: "the tilt of a vehicle at rest is found in 10 s, within 5°, in radians",
+    _repeatable: "the same input gives the same output, after a reset too",
     _batch_equals_single: "n vehicles at once give the numbers of n alone",
     _sequence_equals_stream: "a sequence gives the numbers of its samples one by one",
-    _repeatable: "the same input gives the same output, after a reset too",
     _keeps_arrays: "update changes neither its arguments nor, later, what it has returned",
     _missing_samples: "samples of NaN are bridged",
     _known_start: "reset accepts roll_pitch (n, 2)",
@@ -151,18 +121,22 @@ CHECKS: dict[Callable[[Make], str], str] = {
 """Each returns what it saw that it should not; empty if nothing."""
 
 
-def _motion(n: int = VEHICLES) -> tuple[Array, Array]:
-    """Readings of n vehicles that swing about roll and pitch, (n, SAMPLES, 3) each."""
-    t, phase = np.arange(SAMPLES) / 200.0, np.arange(n)[:, None]
+def _motion() -> Readings:
+    """Readings of vehicles that swing about roll and pitch, (VEHICLES, SAMPLES, 3) each."""
+    t, phase = np.arange(SAMPLES) / 200.0, np.arange(VEHICLES)[:, None]
     roll, pitch = 0.4 * np.sin(3.0 * t + phase), 0.3 * np.sin(2.0 * t + 0.5 * phase)
     rate = 1.2 * np.cos(3.0 * t + phase), 0.6 * np.cos(2.0 * t + 0.5 * phase)
     gyro = np.stack([*rate, 0.1 * np.ones_like(roll)], axis=-1)
-    return gyro, GRAVITY * up_in_body(np.stack([roll, pitch], axis=-1))
+    return Readings(gyro, GRAVITY * up_in_body(np.stack([roll, pitch], axis=-1)))
 
 
-def _estimates(est: AttitudeEstimator, gyro: Array | None = None, accel: Array | None = None) -> Array:
-    """Of the motion above, or of other readings; an estimator that is fed the truth is given level flight."""
-    if gyro is None or accel is None:
-        gyro, accel = _motion()
-    level = np.tile([1.0, 0.0, 0.0, 0.0], (*gyro.shape[:2], 1))
-    return np.asarray(run_quietly(est, gyro, accel, quat=level if receives_truth(est) else None))
+def _estimates(
+    est: AttitudeEstimator,
+    readings: Readings | None = None,
+    start: Array | None = None,
+    tilt: ArrayLike = (0.0, 0.0),
+) -> Array:
+    """Of the motion above, or of other readings; an estimator that is fed the truth is given a tilt."""
+    readings = _motion() if readings is None else readings
+    truth = np.tile(quat_from_roll_pitch(tilt), (*readings.gyro.shape[:2], 1))
+    return run_quietly(est, readings, start, truth)

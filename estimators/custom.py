@@ -1,6 +1,6 @@
 """A user's own estimator: a class that "module:Class", "file.py:Class" or an entry point names."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -49,13 +49,20 @@ def own(name: str, rate_hz: float, values: Mapping[str, float] | None = None) ->
     Raises:
         ValueError: No such module or class, or it is no estimator.
     """
-    made, given = load_own(name, GROUP), dict(values or {})
-    arguments = ", ".join(["one argument, rate_hz", *(f"{key}=" for key in given)])
+    return made_of(name, load_own(name, GROUP), rate_hz, values or {})
+
+
+def made_of(
+    name: str, made: Callable[..., AttitudeEstimator], rate_hz: float, values: Mapping[str, float]
+) -> AttitudeEstimator:
+    """What a user's class or function makes, tried; arguments and errors as of `own`."""
+    arguments = ", ".join(["one argument, rate_hz", *(f"{key}=" for key in values)])
     with named_errors(f"{name} is made with {arguments}, and", passing=()):
-        est = made(rate_hz, **given)
+        est = made(rate_hz, **values)
+    tried(name, est)
     if not hasattr(est, "rate_hz"):
         est.rate_hz = rate_hz
-    return tried(name, est)
+    return est
 
 
 def tried(name: str, est: AttitudeEstimator) -> AttitudeEstimator:

@@ -1,6 +1,7 @@
 """Run an estimator over sequences, or many parameter sets of it at once."""
 
 import logging
+import time
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
@@ -59,9 +60,7 @@ def run(
             one of the user's that fails, does not return real numbers (n, 2), or whose `sequence` differs
             from its `update`.
     """
-    streamed = streamed_once(est, gyro, accel, roll_pitch, **sensors)
-    out = run_quietly(est, gyro, accel, roll_pitch, quat, **sensors)
-    require_same(est, out, streamed)
+    out, _ = run_checked(est, _sequences(gyro, accel, **sensors), roll_pitch, quat)
     skipped = missing_samples(est)
     if skipped > 0:
         logger.warning(
@@ -73,61 +72,50 @@ def run(
     return out
 
 
-def run_quietly(
+def run_checked(
     est: AttitudeEstimator,
-    gyro: ArrayLike,
-    accel: ArrayLike,
+    readings: Readings,
     roll_pitch: ArrayLike | None = None,
     quat: ArrayLike | None = None,
-    **sensors: Unpack[OtherSensors],
+) -> tuple[Array, float]:
+    """Roll and pitch (n, T, 2) [rad], and the time that they took [s].
+
+    An estimator of the user's that has a `sequence` is streamed over the first sequence, too: its `update`
+    flies, and has to give the same.
+
+    Raises:
+        ValueError: As of `run`, whose arguments these are.
+    """
+    streamed = None
+    if not (_ships(est) or receives_truth(est)) and getattr(est, "sequence", None) is not None:
+        start = None if roll_pitch is None else np.asarray(roll_pitch)[:1]
+        with _named(est):
+            streamed = stream(est, readings.map(lambda each: each[:1]), start)
+    begin = time.perf_counter()
+    out = run_quietly(est, readings, roll_pitch, quat)
+    taken = time.perf_counter() - begin
+    if streamed is not None and (difference := differ(out[:1], streamed, SAME)):
+        raise ValueError(
+            f"{type(est).__name__}: sequence does not give the estimates of update, which flies: {difference}"
+        )
+    return out, taken
+
+
+def run_quietly(
+    est: AttitudeEstimator,
+    readings: Readings,
+    roll_pitch: ArrayLike | None = None,
+    quat: ArrayLike | None = None,
 ) -> Array:
     """`run`, for a caller that reports `missing_samples` and checks a user's `sequence` itself."""
-    readings = _sequences(gyro, accel, **sensors)
     sequence = None if receives_truth(est) else getattr(est, "sequence", None)
     with _named(est):
         if sequence is None:
-            return _stream(est, readings, roll_pitch, quat)
+            return stream(est, readings, roll_pitch, quat)
         _reset(est, len(readings.gyro), roll_pitch)
         given = readings if _ships(est) else readings.map(np.copy)
         returned = given.give(sequence, accepted_sensors(sequence))
         return roll_pitch_of(returned, (*readings.gyro.shape[:2], 2), type(est).__name__, "sequence")
-
-
-def streamed_once(
-    est: AttitudeEstimator,
-    gyro: ArrayLike,
-    accel: ArrayLike,
-    roll_pitch: ArrayLike | None = None,
-    **sensors: Unpack[OtherSensors],
-) -> Array | None:
-    """Estimates of the first sequence, whole, by `update`, for `require_same`; arguments as of `run`.
-
-    Returns:
-        Roll and pitch (1, T, 2) [rad]; None for an estimator that `run` streams anyway, or that ships, whose
-        two ways are equal by test.
-    """
-    if _ships(est) or receives_truth(est) or getattr(est, "sequence", None) is None:
-        return None
-    readings = _sequences(gyro, accel, **sensors).map(lambda each: each[:1])
-    with _named(est):
-        return _stream(est, readings, None if roll_pitch is None else np.asarray(roll_pitch)[:1], None)
-
-
-def require_same(est: AttitudeEstimator, estimate: Array, streamed: Array | None) -> None:
-    """Refuse an estimator whose `sequence` does not give what its `update`, which flies, gives.
-
-    Args:
-        est: The estimator.
-        estimate: Roll and pitch by `sequence` (n, T, 2) [rad].
-        streamed: From `streamed_once`.
-
-    Raises:
-        ValueError: They differ by more than `SAME`.
-    """
-    if streamed is not None and (difference := differ(estimate[:1], streamed, SAME)):
-        raise ValueError(
-            f"{type(est).__name__}: sequence does not give the estimates of update, which flies: {difference}"
-        )
 
 
 def differ(a: Array, b: Array, most: float) -> str:
@@ -138,17 +126,17 @@ def differ(a: Array, b: Array, most: float) -> str:
     return "" if largest <= np.degrees(most) and alike else f"they differ by up to {largest:.3g}°"
 
 
-def _stream(
-    est: AttitudeEstimator, readings: Readings, roll_pitch: ArrayLike | None, quat: ArrayLike | None
+def stream(
+    est: AttitudeEstimator, readings: Readings, roll_pitch: ArrayLike | None, quat: ArrayLike | None = None
 ) -> Array:
+    """`run` by `update` alone."""
     n, steps = readings.gyro.shape[:2]
-    observe = getattr(est, "observe", None) if receives_truth(est) else None
-    truth = None if observe is None else _truth(quat, (n, steps, 4))
+    truth = _truth(quat, (n, steps, 4)) if receives_truth(est) else None
     _reset(est, n, roll_pitch)
     out, accepted, name = np.empty((n, steps, 2)), accepted_sensors(est.update), type(est).__name__
     for t in range(steps):
-        if observe is not None and truth is not None:
-            observe(truth[:, t].copy())
+        if truth is not None:
+            est.observe(truth[:, t].copy())  # pyright: ignore[reportAttributeAccessIssue]
         returned = readings.map(lambda each, t=t: each[:, t].copy()).give(est.update, accepted)
         out[:, t] = roll_pitch_of(returned, (n, 2), name)
     return out

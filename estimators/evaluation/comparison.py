@@ -1,6 +1,5 @@
 """Offline comparison of estimators on recorded flights, from an unknown and from a known initial attitude."""
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,7 +29,7 @@ from ..networks.gru import Recurrent
 from ..networks.network import NetworkEstimator, Spiking, silenced
 from ..networks.weights_file import load_network, shipped_names
 from ..registry import FILTERPY, NETWORKS, create, is_weights
-from ..running import missing_samples, require_same, run_quietly, streamed_once
+from ..running import missing_samples, run_checked, run_quietly
 from .flights import Flights, Initial, load_flights, vehicle_of
 
 Array = NDArray[np.float64]
@@ -193,12 +192,9 @@ def assessed(
     Raises:
         ValueError: It does not run, or its `sequence` does not give the estimates of its `update`.
     """
-    others, truth = flights.readings.others, flights.truth
-    streamed = streamed_once(est, flights.gyro, flights.accel, flights.start, **others)
-    begin = time.perf_counter()
-    estimate = _run(est, flights)
-    runtime = (time.perf_counter() - begin) / truth[..., 0].size * 1e9
-    require_same(est, estimate, streamed)
+    truth = flights.truth
+    estimate, taken = run_checked(est, flights.readings, flights.start, flights.quat)
+    runtime = taken / truth[..., 0].size * 1e9
     row = {"estimator": name, "reference": receives_truth(est), "flights": len(truth), "runtime_ns": runtime}
     row |= {"missing": missing_samples(est)} | errors_of(estimate, truth, seed)
     if silence and (twin := silenced_twin(name, flights.rate_hz)) is not None:
@@ -278,8 +274,7 @@ def silenced_twin(name: str, rate_hz: float = 200.0) -> NetworkEstimator | None:
 
 
 def _run(est: AttitudeEstimator, flights: Flights) -> Array:
-    others = flights.readings.others
-    return run_quietly(est, flights.gyro, flights.accel, flights.start, flights.quat, **others)
+    return run_quietly(est, flights.readings, flights.start, flights.quat)
 
 
 def _settling(est: AttitudeEstimator, pieces: Flights | None) -> Array:

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import OptimizeResult, differential_evolution
 
 from quadsim.config.toml import preset_names
-from quadsim.estimator import AttitudeEstimator, receives_truth
+from quadsim.estimator import AttitudeEstimator, Readings, receives_truth
 from quadsim.held_out import unreserved
 from quadsim.imu.spec import load_imu
 from quadsim.runs.files import alone, write_whole
@@ -89,7 +89,7 @@ def _made(name: str, rate_hz: float, values: Mapping[str, float]) -> AttitudeEst
 
 def _error_of(est: AttitudeEstimator, is_of_user: bool, flights: Flights) -> float:
     """Cost of one estimator; a compiled one runs without the interpreter's lock."""
-    estimate = run_quietly(est, flights.gyro, flights.accel, flights.start)
+    estimate = run_quietly(est, Readings(flights.gyro, flights.accel), flights.start)
     if is_of_user and flaw_of(estimate, flights.truth):
         return math.inf
     scored = np.isfinite(flights.truth).all(axis=-1).sum(axis=1) * 2
@@ -210,7 +210,7 @@ def tune(
     (found,) = parameter_sets(values(best.position[None]))
     if not math.isfinite(best.cost):
         est = _made(name, data.rate_hz, found)
-        flaw = flaw_of(run_quietly(est, data.gyro, data.accel, data.start), data.truth)
+        flaw = flaw_of(run_quietly(est, Readings(data.gyro, data.accel), data.start), data.truth)
         raise ValueError(f"no parameters of {name} give estimates that can be scored: it {flaw}")
     return Tuned(
         command=command,
