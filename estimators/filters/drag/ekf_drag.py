@@ -62,22 +62,6 @@ RECORD = np.dtype(
 )
 """The filter's state."""
 
-WIND_SHARE = 0.6
-"""Share of the removed variance at which the wind's noise neither rises nor falls."""
-WIND_MEMORY = 15.0
-"""Memory of the adaptation of the wind's noise [s]."""
-WIND_NOISE_LEAST = 0.013
-"""Least noise density of the wind [m/s/√s]."""
-SPEED_GROWTH = 10.9
-"""Growth of the variance of v = 0 with the mean square of the velocity [s²/m²]."""
-SPEED_MEMORY = 2.0
-"""Memory of that mean square [s]."""
-ACCEL_MEMORY = 2.7
-"""Memory of the acceleration's mean square [s]."""
-STEP_RATIO = 2.5
-"""Variances that corrections of the gyroscope's bias may sum up to before they show a step."""
-STEP_WINDOW = 1.0
-"""Memory of that sum [s]."""
 NO_ARM = (0.0, 0.0)
 """The IMU is at the centre of mass."""
 
@@ -99,7 +83,7 @@ def bias_variance(P):
 
 
 @njit
-def adapt_wind(s, dt, removed):
+def adapt_wind(s, p, dt, removed):
     """Take a correction of the airspeed, and the variance that it removed, into the wind's noise."""
     scatter = 0.0
     for k in range(2):
@@ -107,9 +91,9 @@ def adapt_wind(s, dt, removed):
         s.airspeed_sum[k] += moved - s.airspeed_sum[k] * dt / WIND_WINDOW
         scatter += 0.5 * s.airspeed_sum[k] ** 2
     s.airspeed_due += max(0.5 * removed, 0.0) - 2.0 * s.airspeed_due * dt / WIND_WINDOW
-    excess = 2.0 * (scatter - WIND_SHARE * s.airspeed_due) / WIND_WINDOW
-    memory = min(0.5 * FIRST_S + s.time, WIND_MEMORY) if excess > 0.0 else WIND_MEMORY
-    s.wind_noise = max(s.wind_noise + excess * dt / memory, WIND_NOISE_LEAST**2)
+    excess = 2.0 * (scatter - p.wind_share * s.airspeed_due) / WIND_WINDOW
+    memory = min(0.5 * FIRST_S + s.time, p.wind_memory) if excess > 0.0 else p.wind_memory
+    s.wind_noise = max(s.wind_noise + excess * dt / memory, p.wind_noise_least**2)
 
 
 @njit
@@ -117,10 +101,10 @@ def adapt_bias(s, p, dt, removed):
     """Inflate the variance of the gyroscope's bias where its corrections show that it has stepped."""
     scatter = 0.0
     for k in range(3):
-        s.bias_sum[k] += s.error[GYRO_BIAS + k] - s.bias_sum[k] * dt / STEP_WINDOW
+        s.bias_sum[k] += s.error[GYRO_BIAS + k] - s.bias_sum[k] * dt / p.step_time
         scatter += s.bias_sum[k] ** 2 / 3.0
-    s.bias_due += max(removed, 0.0) / 3.0 - 2.0 * s.bias_due * dt / STEP_WINDOW
-    inflation = max(scatter - STEP_RATIO * s.bias_due, 0.0) * p.step_gain * dt / STEP_WINDOW
+    s.bias_due += max(removed, 0.0) / 3.0 - 2.0 * s.bias_due * dt / p.step_time
+    inflation = max(scatter - p.step_ratio * s.bias_due, 0.0) * p.step_gain * dt / p.step_time
     for k in range(GYRO_BIAS, ACCEL_BIAS):
         s.covariance[k, k] += inflation
 
@@ -134,11 +118,11 @@ def measure(s, p, dt, gyro, accel, matrix):
     correct_by_drag(s, s, p, DRAG, accel, NO_ARM, rotor_drag, dt, matrix)
     if s.time > WIND_WINDOW:  # the first corrections are those of the initial state
         bias -= bias_variance(P)
-        adapt_wind(s, dt, airspeed - airspeed_variance(P))
+        adapt_wind(s, p, dt, airspeed - airspeed_variance(P))
         adapt_bias(s, p, dt, bias)
-    density = max(s.speed_square, p.speed_least**2) * p.speed_time * (1.0 + SPEED_GROWTH * s.speed_square)
+    density = max(s.speed_square, p.speed_least**2) * p.speed_time * (1.0 + p.speed_growth * s.speed_square)
     correct_by_zero_velocity(s, s, DRAG, 3, density / dt, p.climb_noise**2 / dt)
-    s.speed_square = mean_square(s.speed_square, 0.5 * (v[0] ** 2 + v[1] ** 2), dt, s.time, SPEED_MEMORY)
+    s.speed_square = mean_square(s.speed_square, 0.5 * (v[0] ** 2 + v[1] ** 2), dt, s.time, p.speed_memory)
     if at_rest(s, dt, gyro, accel):
         correct_by_zero_rate(s, s, DRAG, gyro, dt)
 
@@ -157,7 +141,7 @@ def step(s, p, sample):
         for k in range(3):  # trapezoidal rule
             v[k] += 0.5 * (now[k] + (s.accel_W[k] if s.time > dt else now[k])) * dt
             s.accel_W[k] = now[k]
-        s.accel_square = mean_square(s.accel_square, 0.5 * (fx * fx + fy * fy), dt, s.time, ACCEL_MEMORY)
+        s.accel_square = mean_square(s.accel_square, 0.5 * (fx * fx + fy * fy), dt, s.time, p.accel_memory)
         measure(s, p, dt, gyro, accel, matrix)
     apply_error(s, s.error)
     if diverged(s.gyro_bias, s.velocity) or diverged(s.gyro_bias, s.wind):
