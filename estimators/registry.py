@@ -136,25 +136,25 @@ def loaded(
 
 
 def tuning_misfit(
-    name: str, tuning: str | Path | None, vehicle: str | Path | Vehicle, imu: str | Path | ImuSpec
+    name: str,
+    tuning: str | Path | None,
+    vehicle: str | Path | Vehicle | None,
+    imu: str | Path | ImuSpec | None,
 ) -> str:
     """In words, what an estimator's parameters were tuned for and does not fly; empty where all is as tuned.
 
-    Args:
-        name: Estimator.
-        tuning: As in `create`.
-        vehicle: The simulated vehicle, as in `create`.
-        imu: What it carries, as in `create`.
+    Empty also where what flies is not known; the arguments are those of `create`.
     """
     airframe, sensor = loaded(vehicle, imu)
     if not (name in names() or is_custom(name)) or not parameters(name) or airframe is None or sensor is None:
         return ""
     tuned = tuned_for(name, tuning, airframe, sensor)
-    if tuned is None:
-        return ""
-    others = [f"the {tuned.vehicle}" * bool(tuned.vehicle and tuned.vehicle != airframe.name)]
-    others += [f"the IMU {tuned.imu}" * bool(tuned.imu and load_imu(tuned.imu) != sensor)]
-    return " and ".join(filter(None, others))
+    others = []
+    if tuned is not None and tuned.vehicle not in ("", airframe.name):
+        others.append(f"the {tuned.vehicle}")
+    if tuned is not None and tuned.imu and load_imu(tuned.imu) != sensor:
+        others.append(f"the IMU {tuned.imu}")
+    return " and ".join(others)
 
 
 def training_misfit(name: str, vehicle: str | Path | Vehicle) -> str:
@@ -167,8 +167,7 @@ def training_misfit(name: str, vehicle: str | Path | Vehicle) -> str:
         vehicle: The simulated vehicle, as in `create`.
     """
     network = name.removesuffix("-loihi")
-    ships = network in (*NETWORKS, *shipped_names(), *shipped_controllers())
-    if not ships and not network.endswith(END):
+    if network not in (*NETWORKS, *shipped_names(), *shipped_controllers()) and not network.endswith(END):
         return ""
     try:
         config = load_circuit(network)[0] if is_circuit(network) else load_network(network)[0]
@@ -186,35 +185,18 @@ def tuned_elsewhere(
     vehicle: str | Path | Vehicle | None,
     imu: str | Path | ImuSpec | None,
 ) -> list[str]:
-    """A sentence for each other vehicle or IMU that parameters were tuned for; none where that is not known.
-
-    Args:
-        estimators: Names of estimators.
-        tuning: As in `create`.
-        vehicle: The simulated vehicle, as in `create`.
-        imu: Its IMU, as in `create`.
-    """
+    """A sentence for each other vehicle or IMU that parameters were tuned for, see `tuning_misfit`."""
     found: dict[str, list[str]] = {}
-    if vehicle is not None and imu is not None:
-        for name in estimators:
-            if other := tuning_misfit(name, tuning, vehicle, imu):
-                found.setdefault(other, []).append(name)
-    return [f"Tuned for {other}, not for what flew: {', '.join(who)}." for other, who in found.items()]
+    for name in estimators:
+        found.setdefault(tuning_misfit(name, tuning, vehicle, imu), []).append(name)
+    return [f"Tuned for {o}, not for what flew: {', '.join(who)}." for o, who in found.items() if o]
 
 
 def parameter_sets(params: Mapping[str, ArrayLike]) -> list[dict[str, float]]:
-    """Columns (p,) as p dictionaries.
-
-    Raises:
-        ValueError: If the columns differ in length.
-    """
-    if not params:
-        return [{}]
-    columns = [np.atleast_1d(np.asarray(column, dtype=np.float64)) for column in params.values()]
-    if len({column.shape for column in columns}) > 1 or columns[0].ndim != 1:
-        shapes = ", ".join(f"{key} {column.shape}" for key, column in zip(params, columns, strict=True))
-        raise ValueError(f"all parameters must have one shape (p,): {shapes}")
-    return [dict(zip(params, map(float, row), strict=True)) for row in zip(*columns, strict=True)]
+    """Columns (p,) as p dictionaries; ValueError if they differ in length."""
+    columns = [np.atleast_1d(np.asarray(column, np.float64)) for column in params.values()]
+    rows = np.stack(columns, axis=1).tolist() if columns else [[]]
+    return [dict(zip(params, row, strict=True)) for row in rows]
 
 
 def filter_values(
@@ -245,18 +227,13 @@ def filter_values(
     return values
 
 
-def airframe_constants(name: str, vehicle: str | Path | Vehicle | None) -> dict[str, float]:
-    """Parameters of an estimator that are known of a vehicle, given by its name, file or model.
-
-    Raises:
-        ValueError: No such vehicle, or a file that is not one.
-    """
-    airframe, _ = loaded(vehicle, None)
-    if name != "ekf-drag" or airframe is None:
+def airframe_constants(name: str, vehicle: Vehicle | None) -> dict[str, float]:
+    """Parameters of an estimator that are known of a vehicle."""
+    if name != "ekf-drag" or vehicle is None:
         return {}
     from .filters.drag.ekf_drag import drag_of
 
-    return drag_of(airframe)
+    return drag_of(vehicle)
 
 
 def _shipped(name: str) -> Entry:

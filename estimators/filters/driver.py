@@ -103,12 +103,22 @@ class BatchedFilter:
         raise NotImplementedError
 
 
+def estimate(field: str, about: str) -> property:
+    """A public field of the state; AttributeError for a filter that does not estimate it."""
+
+    def get(self: "CompiledFilter") -> Array:
+        if field not in (self.record.names or ()):
+            raise AttributeError(f"{self.name} does not estimate {field}")
+        return self.state[field].copy()
+
+    return property(get, doc=about)
+
+
 class CompiledFilter(BatchedFilter):
     """A filter of this package."""
 
     record: ClassVar[np.dtype]
-    """Its state. Fields named quat (quat_WB), gyro_bias and velocity (in world axes at the filter's own
-    heading) are public."""
+    """Its state. Fields named quat, gyro_bias and velocity are public."""
     run: ClassVar[Callable[..., None]]
     """As above, a static method."""
 
@@ -128,20 +138,9 @@ class CompiledFilter(BatchedFilter):
         """Covariance (n, 2, 2) [rad²] of the tilt's error about world x and y."""
         raise AttributeError(f"{self.name} has no covariance")
 
-    @property
-    def quat(self) -> Array:
-        """Estimated quat_WB (n, 4)."""
-        return self._field("quat", "a quaternion")
-
-    @property
-    def gyro_bias(self) -> Array:
-        """Estimated gyroscope bias (n, 3) [rad/s]."""
-        return self._field("gyro_bias", "a gyroscope bias")
-
-    @property
-    def velocity(self) -> Array:
-        """Estimated velocity in the world axes of `quat`, (n, 3) [m/s]."""
-        return self._field("velocity", "a velocity")
+    quat = estimate("quat", "Estimated quat_WB (n, 4).")
+    gyro_bias = estimate("gyro_bias", "Estimated gyroscope bias (n, 3) [rad/s].")
+    velocity = estimate("velocity", "Estimated velocity in the world axes of `quat`, (n, 3) [m/s].")
 
     @property
     def roll_pitch_sigma(self) -> Array:
@@ -153,11 +152,6 @@ class CompiledFilter(BatchedFilter):
         sigma = np.sqrt(np.maximum(variance, 0.0))
         sigma[:, 0] /= np.maximum(np.cos(pitch), 1e-3)
         return np.minimum(sigma, math.pi)
-
-    def _field(self, name: str, what: str) -> Array:
-        if name not in (self.record.names or ()):
-            raise AttributeError(f"{self.name} does not estimate {what}")
-        return self.state[name].copy()
 
     def _started(self, quat: Array, known: bool) -> Records:
         states = np.zeros(len(quat), self.record)
@@ -213,15 +207,7 @@ def paired(gyro: ArrayLike, accel: ArrayLike) -> tuple[Array, Array]:
 
 
 def rotor_speeds(shape: tuple[int, ...], given: OtherSensors) -> Array:
-    """Rotor speeds (*shape, rotors) among the given readings, without columns where there are none.
-
-    Args:
-        shape: Of the other readings without their last axis: (n,) or (n, T).
-        given: Readings (*shape, ·).
-
-    Raises:
-        ValueError: For speeds of another shape.
-    """
+    """Rotor speeds among readings (*shape, ·), without columns where there are none, or ValueError."""
     values = given.get("rotor_vel")
     speeds = np.empty((*shape, 0)) if values is None else np.ascontiguousarray(values, np.float64)
     if speeds.shape[:-1] != shape:

@@ -14,6 +14,7 @@ direction R(q)ᵀ (0, 0, 1) of the unit quaternion along it.
 
 import math
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -179,13 +180,11 @@ def _quats(vqf: VQF, rate: Array, force: Array, lost: NDArray[np.bool_]) -> Arra
             _start_again(vqf)
         vqf.update(rate[0], force[0])
         return vqf.getQuat6D()[None]
-    starts = np.flatnonzero(lost)
     parts = []
-    for first, last in zip([0, *starts], [*starts, len(rate)], strict=True):
-        if first in starts:
+    for first, last in pairwise([0, *(k for k in np.flatnonzero(lost) if k > 0), len(rate)]):
+        if lost[first]:
             _start_again(vqf)
-        if last > first:
-            parts.append(vqf.updateBatch(rate[first:last], force[first:last])["quat6D"])
+        parts.append(vqf.updateBatch(rate[first:last], force[first:last])["quat6D"])
     return np.concatenate(parts)
 
 

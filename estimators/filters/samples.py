@@ -160,22 +160,20 @@ def sanitise_sample(state, dt, gyro, accel, rotor_vel, i, t):
     return Sample((gx, gy, gz), mean, (ax, ay, az), force_found, rotor_square, unseen, ended, dt)
 
 
-@njit
-def square_of_error(roll, pitch, true_roll, true_pitch):
-    """Squared error of roll and of pitch [rad²], π² each if the estimate is no number; 0 without truth."""
-    d_roll, d_pitch = wrap_core(roll - true_roll), wrap_core(pitch - true_pitch)
-    total = d_roll * d_roll + d_pitch * d_pitch
-    known = true_roll == true_roll and true_pitch == true_pitch
-    return (total if total <= WORST else WORST) if known else 0.0
-
-
 @njit(cache=True, nogil=True)
 def squared_error(estimate, truth):
-    """Sum of `square_of_error` over the samples of each flight (n,) [rad²]; both are (n, T, 2) [rad]."""
+    """Squared errors of roll and pitch (n, T, 2) [rad], summed over each flight (n,) [rad²].
+
+    They are `WORST` where the estimate is no number, and 0 where the truth is not known.
+    """
     total = np.zeros(estimate.shape[0])
     for i in range(estimate.shape[0]):
         for t in range(estimate.shape[1]):
-            total[i] += square_of_error(estimate[i, t, 0], estimate[i, t, 1], truth[i, t, 0], truth[i, t, 1])
+            d_roll = wrap_core(estimate[i, t, 0] - truth[i, t, 0])
+            d_pitch = wrap_core(estimate[i, t, 1] - truth[i, t, 1])
+            square = d_roll * d_roll + d_pitch * d_pitch
+            if not (math.isnan(truth[i, t, 0]) or math.isnan(truth[i, t, 1])):
+                total[i] += square if square <= WORST else WORST
     return total
 
 

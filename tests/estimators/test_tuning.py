@@ -10,7 +10,7 @@ from own_estimator import MINE
 
 from estimators import create, parameters, run_batch
 from estimators.evaluation.flights import load_flights
-from estimators.filters.samples import square_of_error
+from estimators.filters.samples import squared_error
 from estimators.metrics import absolute_error
 from estimators.registry import airframe_constants
 from estimators.tuned import Tuned, load_tuning
@@ -27,6 +27,7 @@ from estimators.tuning.search import (
     write_tuning,
 )
 from quadsim.flight.recipe import load_recipe
+from quadsim.vehicle import load_vehicle
 
 COMPILED = ["complementary", "complementary-adaptive", "mahony", "madgwick", "ekf", "eskf", "ekf-drag", "imm"]
 
@@ -95,8 +96,9 @@ def test_cost_is_the_mean_squared_error_averaged_over_flights(flights):
 def test_the_compiled_cost_counts_angles_as_the_metrics_do(angles):
     truth = np.array([-3.0, 0.2])
     squares = np.radians(absolute_error(np.array(angles), truth)) ** 2
-    assert square_of_error(*angles, *truth) == pytest.approx(squares.sum())
-    assert square_of_error(*angles, math.nan, math.nan) == 0.0
+    both = np.array([[truth], [[math.nan, math.nan]]])
+    found = squared_error(np.tile(angles, (2, 1, 1)), both)
+    np.testing.assert_allclose(found, [squares.sum(), 0.0])
 
 
 @pytest.mark.parametrize("name", COMPILED)
@@ -107,7 +109,9 @@ def test_sets_are_scored_as_they_run(flights, name):
     searched = {key: each for key, each in parameters(name).items() if each.searched}
     rng = np.random.default_rng(0)
     sets = {key: each.at(rng.uniform(0.2, 0.8, 4)) for key, each in searched.items()}
-    sets |= {key: np.full(4, value) for key, value in airframe_constants(name, "hummingbird").items()}
+    sets |= {
+        key: np.full(4, value) for key, value in airframe_constants(name, load_vehicle("hummingbird")).items()
+    }
     for start in (data, data.known()):
         cost = mean_squared_error(name, sets, start, workers=2)
         np.testing.assert_array_equal(cost, mean_squared_error(name, sets, start))
