@@ -183,10 +183,12 @@ def test_the_vehicle_s_file_gives_the_drag():
     assert create("ekf-drag", drag_time=3.0, frame_drag=0.01).values["drag_time"] == 3.0
 
 
-def test_at_rest_the_gyroscope_s_bias_is_found_on_every_axis_in_three_seconds():
-    bias = np.array([0.02, -0.015, 0.01])
+@pytest.mark.parametrize(
+    ("name", "bias"), [("ekf-drag", [0.02, -0.015, 0.01]), ("imm", np.radians([4.1, -1.2, -1.6]))]
+)
+def test_at_rest_the_gyroscope_s_bias_is_found_on_every_axis_in_three_seconds(name, bias):
     accel = np.tile([0.0, 0.0, GRAVITY], (1, 600, 1))
-    est = filter_of()
+    est = create(name, 200.0, vehicle="hummingbird")
     run(est, np.broadcast_to(bias, accel.shape), accel)
     np.testing.assert_allclose(est.gyro_bias[0], bias, atol=1e-3)
 
