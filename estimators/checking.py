@@ -10,7 +10,7 @@ from quadsim.own import named_errors
 from quadsim.rotation import quat_from_roll_pitch
 from quadsim.vehicle import GRAVITY
 
-from .custom import made_of
+from .custom import made_by
 from .metrics import up_in_body
 from .registry import create
 from .running import differ, run_quietly, stream
@@ -41,7 +41,7 @@ def check_estimator(estimator: str | Callable[[float], AttitudeEstimator], rate_
     def make() -> AttitudeEstimator:
         if isinstance(estimator, str):
             return create(estimator, rate_hz, vehicle="hummingbird")
-        return made_of(name, estimator, rate_hz, {})
+        return made_by(name, estimator, rate_hz, {})
 
     make()
     for check, about in CHECKS.items():

@@ -49,10 +49,10 @@ def own(name: str, rate_hz: float, values: Mapping[str, float] | None = None) ->
     Raises:
         ValueError: No such module or class, or it is no estimator.
     """
-    return made_of(name, load_own(name, GROUP), rate_hz, values or {})
+    return made_by(name, load_own(name, GROUP), rate_hz, values or {})
 
 
-def made_of(
+def made_by(
     name: str, made: Callable[..., AttitudeEstimator], rate_hz: float, values: Mapping[str, float]
 ) -> AttitudeEstimator:
     """What a user's class or function makes, tried; arguments and errors as of `own`."""

@@ -69,13 +69,10 @@ def initial_samples(rows: int) -> NDArray[np.void]:
 
 @njit
 def turned_unseen(age):
-    """Variance of the turn since the last good rate that its repetition does not predict [rad²].
+    """Variance of the turn that a rate repeated for the time `age` [s] does not predict [rad²].
 
     The standard deviation grows with the square of time at first, while the rate is still about the last, and
     later with time.
-
-    Args:
-        age: Time since then [s].
     """
     sigma = GAP_RATE * age * age / (age + HOLD_S)
     return sigma * sigma
@@ -87,12 +84,8 @@ def reacquire(tilt_variance, sample):
 
     A Kalman filter of that error alone. A filter with a covariance of its own adds `unseen` to it instead.
 
-    Args:
-        tilt_variance: Variance of the tilt that gaps have left [rad²].
-        sample: The sample.
-
     Returns:
-        The share, and the variance that is left [rad²].
+        The share, and what is left of the tilt's variance [rad²].
     """
     variance = tilt_variance + sample.unseen
     share = variance / (variance + REACQUISITION_NOISE * REACQUISITION_NOISE / sample.dt)
@@ -102,13 +95,7 @@ def reacquire(tilt_variance, sample):
 
 @njit
 def sum_of_squares(rotor_vel, i, t):
-    """Σ ω² of the rotors of one sample [rad²/s²]; zero where a speed is missing, or the rotors stand still.
-
-    Args:
-        rotor_vel: Rotor speeds (n, T, rotors) [rad/s].
-        i: Flight.
-        t: Sample.
-    """
+    """`Sample.rotor_square` of flight i and sample t, of rotor speeds (n, T, rotors) [rad/s]."""
     total = 0.0
     for k in range(rotor_vel.shape[2]):
         if not speed_usable(rotor_vel[i, t, k]):
@@ -121,16 +108,8 @@ def sum_of_squares(rotor_vel, i, t):
 def sanitise_sample(state, dt, gyro, accel, rotor_vel, i, t):
     """The `Sample` to use for one that may be missing: the last good rate, specific force zero.
 
-    A rate that jumps as no vehicle can turn is taken for missing, until it has lasted.
-
-    Args:
-        state: The vehicle's record of `SAMPLES`, updated.
-        dt: Sample period [s].
-        gyro: Body rate (n, T, 3) [rad/s].
-        accel: Specific force (n, T, 3) [m/s²].
-        rotor_vel: Rotor speeds (n, T, rotors) [rad/s]; without columns where they are not measured.
-        i: Flight.
-        t: Sample.
+    A rate that jumps as no vehicle can turn is taken for missing, until it has lasted. `state` is the record
+    of `SAMPLES` of flight i, and is updated; t is the sample; the arrays are those of `driver`.
     """
     gx, gy, gz = gyro[i, t, 0], gyro[i, t, 1], gyro[i, t, 2]
     ax, ay, az = accel[i, t, 0], accel[i, t, 1], accel[i, t, 2]
@@ -196,15 +175,8 @@ def run_all(step, states, samples, params, dt, gyro, accel, rotor_vel, out):
 def sanitise(samples, dt, gyro, accel):
     """Every sample of whole sequences sanitised, for estimators that are not compiled here.
 
-    Args:
-        samples: Records (n,) of `SAMPLES`, updated.
-        dt: Sample period [s].
-        gyro: (n, T, 3) [rad/s].
-        accel: (n, T, 3) [m/s²].
-
     Returns:
-        Rate, its mean with the last one, and specific force (n, T, 3), zero where it cannot be used; what was
-        turned unseen and what a gap that ends has left of it (n, T) [rad²].
+        Fields of `Sample`: gyro, mean_gyro and accel (n, T, 3), unseen and ended (n, T).
     """
     rate, mean, force = np.empty_like(gyro), np.empty_like(gyro), np.empty_like(accel)
     unseen, ended = np.empty(gyro.shape[:2]), np.empty(gyro.shape[:2])

@@ -18,6 +18,10 @@ gyroscope reads its bias (a zero-rate update, as in VQF: Laidig & Seel, Informat
 
 The error is right-invariant as in `eskf`: θ in world axes, v = exp([θ]×) v̂ + δv and so for w. The drag
 measurement then does not depend on θ at all, its matrix is −D R̂ᵀ on δv − δw, and heading drops out.
+
+Arguments of the functions: m is the record of a model, with the fields of `MODEL`; scratch has those of
+`SCRATCH` and may be the same record; p has the filter's parameters; size is the number of errors in the
+state; matrix is R̂ by rows; dt is the time step [s].
 """
 
 import math
@@ -111,7 +115,10 @@ REST_NOISE = 0.002
 
 @njit
 def transition(P, matrix, v, w, dt, climbs):
-    """P ← F P, with θ̇ = −R̂ δb, δv̇ = −θ × g − R̂ δc − v̂ × R̂ δb and δẇ = −ŵ × R̂ δb; δv_z if it `climbs`."""
+    """P ← F P, with θ̇ = −R̂ δb, δv̇ = −θ × g − R̂ δc − v̂ × R̂ δb and δẇ = −ŵ × R̂ δb.
+
+    With `climbs`, v_z and c_z are among the errors.
+    """
     r00, r01, r02, r10, r11, r12, r20, r21, r22 = matrix
     vx, vy, vz, wx, wy = v[0], v[1], v[2], w[0], w[1]
     for j in range(ERRORS):
@@ -136,16 +143,7 @@ def transition(P, matrix, v, w, dt, climbs):
 
 @njit
 def propagate(m, scratch, size, matrix, dt, climbs):
-    """P ← F P Fᵀ + Q = F (F P)ᵀ + Q for a symmetric P; `scratch.walks` is the diagonal of Q.
-
-    Args:
-        m: The model's record.
-        scratch: The record with the fields of `SCRATCH`.
-        size: Errors in the state.
-        matrix: R̂ by rows.
-        dt: Time step [s].
-        climbs: Whether v_z and c_z are among the errors.
-    """
+    """P ← F P Fᵀ + Q = F (F P)ᵀ + Q for a symmetric P; `scratch.walks` is the diagonal of Q."""
     P, T, v, w = m.covariance, scratch.moved, m.velocity, m.wind
     transition(P, matrix, v, w, dt, climbs)
     for i in range(ERRORS):
@@ -160,19 +158,10 @@ def propagate(m, scratch, size, matrix, dt, climbs):
 
 @njit
 def predict(m, scratch, p, size, turn, dt, scale_error, unseen, drag, climbs):
-    """Turn a model and propagate its covariance, with walks of o and l as they are; R̂ by rows.
+    """Turn a model and propagate its covariance, with walks of o and l as they are; returns the matrix.
 
-    Args:
-        m: The model's record.
-        scratch: As in `propagate`, as are size, dt and climbs.
-        p: The filter's parameters.
-        size: Errors in the state.
-        turn: Rotation vector that the gyroscope measured [rad].
-        dt: Time step [s].
-        scale_error: Variance of that by errors in proportion to the rate [rad²].
-        unseen: Variance of the unmeasured turn [rad²].
-        drag: D at hover [1/s].
-        climbs: Whether v_z and c_z are among the errors.
+    `turn` is the rotation vector that the gyroscope measured [rad], `scale_error` its variance by errors in
+    proportion to the rate, `unseen` that of what it did not measure [rad²], and `drag` is D at hover [1/s].
     """
     walks, b = scratch.walks, m.gyro_bias
     walks[TILT:VELOCITY] = p.gyro_noise**2 * dt + scale_error + unseen
@@ -207,16 +196,8 @@ def along_drag(x, y, z, arm, k, error, noise):
 def correct_by_drag(m, scratch, p, size, force, arm, rotor_drag, dt, matrix):
     """Correct by the specific force across thrust, one axis after the other; adapt its variance.
 
-    Args:
-        m: The model's record.
-        scratch: The record with the fields of `SCRATCH`.
-        p: The filter's parameters.
-        size: Errors in the state.
-        force: Specific force in body axes (3,) [m/s²].
-        arm: What one metre of lever arm adds to it (2,) [1/s²].
-        rotor_drag: The rotors' part of D [1/s].
-        dt: Time step [s].
-        matrix: R̂ by rows.
+    `force` is the specific force in body axes (3,) [m/s²], `arm` what one metre of lever arm adds to it (2,)
+    [1/s²], and `rotor_drag` the rotors' part of D [1/s].
     """
     P, v, w, dx, column = m.covariance, m.velocity, m.wind, scratch.error, scratch.column
     airspeed = math.sqrt((v[0] - w[0]) ** 2 + (v[1] - w[1]) ** 2 + v[2] ** 2)

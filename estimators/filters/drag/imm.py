@@ -234,14 +234,7 @@ def update_models(s, p):
 
 @njit
 def thrust_of_rotors(s, p, dt, along):
-    """Thrust per mass by rotor speeds, κ Σ ω² [m/s²]; κ by least squares from the force along body z.
-
-    Args:
-        s: The filter's record.
-        p: Its parameters.
-        dt: Length of the interval [s].
-        along: Mean force along body z in it [m/s²].
-    """
+    """Thrust per mass by rotor speeds, κ Σ ω² [m/s²]; κ by least squares from the force `along` body z."""
     square = s.rotor_sum / s.rotor_time
     s.rotor_product = mean_square(s.rotor_product, square * along, dt, s.time, p.square_memory)
     s.rotor_square = mean_square(s.rotor_square, square * square, dt, s.time, p.square_memory)

@@ -24,8 +24,8 @@ from quadsim.vehicle import GRAVITY
 
 from ..inline_math import rotate
 from .drag_aided import (
+    ACCEL_BIAS,
     ERRORS,
-    GYRO_BIAS,
     LEVER,
     MODEL,
     OFFSET,
@@ -199,16 +199,7 @@ def correct_model(m, k, s, p, x, matrix):
 
 @njit
 def adapt_bias(m, p, dt, dx, removed, matrix):
-    """Take a correction of the tilt, and the variance that it removed; know less of the bias if it steps.
-
-    Args:
-        m: The model's record.
-        p: The filter's parameters.
-        dt: Interval [s].
-        dx: The error that was estimated.
-        removed: From the variance of the tilt, both axes [rad²].
-        matrix: R̂ by rows.
-    """
+    """Take a correction of the tilt, and the variance that it removed; know less of a bias that steps."""
     leak, scatter, P = dt / p.step_time, 0.0, m.covariance
     for k in range(2):
         m.tilt_sum[k] += dx[TILT + k] - leak * m.tilt_sum[k]
@@ -224,10 +215,7 @@ def adapt_bias(m, p, dt, dx, removed, matrix):
         fallen = 0.5 * GRAVITY * p.step_time
         for k in range(3):
             x, y = -p.step_time * matrix[k], -p.step_time * matrix[3 + k]
-            wrong = (x, y, fallen * y, -fallen * x)
-            for i in range(4):
-                for j in range(4):
+            wrong = (x, y, fallen * y, -fallen * x, 1.0 * (k == 0), 1.0 * (k == 1), 1.0 * (k == 2))  # G[:, k]
+            for i in range(ACCEL_BIAS):
+                for j in range(ACCEL_BIAS):
                     P[i, j] += p.step_sigma**2 * wrong[i] * wrong[j]
-                P[i, GYRO_BIAS + k] += p.step_sigma**2 * wrong[i]
-                P[GYRO_BIAS + k, i] += p.step_sigma**2 * wrong[i]
-            P[GYRO_BIAS + k, GYRO_BIAS + k] += p.step_sigma**2
