@@ -16,8 +16,11 @@ class Fair:
     def reset(self, n=1, roll_pitch=None):
         self.angle = np.zeros((n, 2)) if roll_pitch is None else np.array(roll_pitch, float)
 
+    def bridged(self, gyro, accel):
+        return np.nan_to_num(gyro), np.where(np.isfinite(accel), accel, [0.0, 0.0, 9.81])
+
     def update(self, gyro, accel):
-        gyro, accel = np.nan_to_num(gyro), np.where(np.isfinite(accel), accel, [0.0, 0.0, 9.81])
+        gyro, accel = self.bridged(gyro, accel)
         tilt = np.arctan2(accel[:, 1], accel[:, 2]), np.arctan2(-accel[:, 0], accel[:, 2])
         self.angle = 0.98 * (self.angle + self.dt * gyro[:, :2]) + 0.02 * np.column_stack(tilt)
         return self.angle
@@ -71,10 +74,8 @@ class Remembers(Fair):
 
 
 class Forever(Fair):
-    def update(self, gyro, accel):
-        tilt = np.arctan2(accel[:, 1], accel[:, 2]), np.arctan2(-accel[:, 0], accel[:, 2])
-        self.angle = 0.98 * (self.angle + self.dt * gyro[:, :2]) + 0.02 * np.column_stack(tilt)
-        return self.angle
+    def bridged(self, gyro, accel):
+        return gyro, accel
 
 
 class Deaf(Fair):

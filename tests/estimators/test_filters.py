@@ -55,8 +55,6 @@ def settled(name):
         "ekf": {"gyro_noise": 0.05, "accel_noise": 0.05},
         "eskf": {"gyro_noise": 0.05, "accel_noise": 0.05, "bias_sigma": 0.01},
         "imm": {"gyro_noise": 1e-3, "accel_bias_sigma": 2e-3, "accel_bias_noise": 0.0, "bias_noise": 3e-4},
-        "ekf-filterpy": {"gyro_noise": 0.05, "accel_noise": 0.05},
-        "ukf-filterpy": {"gyro_noise": 0.05, "accel_noise": 0.05},
         "vqf": VQF_DEFAULTS,
     }[name]
 

@@ -54,13 +54,17 @@ def in_the_hand(seconds=20.0, speed=0.3):
     return rate[None], force[None], quat[None]
 
 
+def generated(folder, config, count, seconds, seed):
+    """A generated dataset."""
+    return open_dataset(generate(config, count, seconds, folder / "flights.zarr", seed=seed, workers=1))
+
+
 @pytest.fixture(scope="module")
 def flights(tmp_path_factory):
-    """Ten aggressive flights of a Hummingbird, and the attitude that is true."""
-    path = tmp_path_factory.mktemp("imm") / "flights.zarr"
-    data = open_dataset(generate(load_recipe("varied"), 10, 30.0, path, seed=71, workers=1))
-    gyro, accel, quat = (data[name].to_numpy().astype(float) for name in ("gyro", "accel", "quat"))
-    return gyro, accel, roll_pitch_from_quat(quat)
+    """Ten aggressive flights of a Hummingbird: gyroscope, accelerometer, and the attitude that is true."""
+    folder = tmp_path_factory.mktemp("imm")
+    found = load_flights([generated(folder, load_recipe("varied"), 10, 30.0, seed=71)])
+    return found.gyro, found.accel, found.truth
 
 
 @pytest.fixture
@@ -75,8 +79,7 @@ def shaken_data(tmp_path_factory):
     config = load_recipe("varied")
     vibration = RotorVibration(rotor_vel=453.0, gyro=(0.05, 0.05, 0.02), accel=(2.0, 2.0, 5.0))
     config = config.model_copy(update={"imu": config.imu.model_copy(update={"vibration": vibration})})
-    path = tmp_path_factory.mktemp("imm") / "shaken.zarr"
-    return open_dataset(generate(config, 4, 30.0, path, seed=72, workers=1))
+    return generated(tmp_path_factory.mktemp("shaken"), config, 4, 30.0, seed=72)
 
 
 @pytest.fixture(scope="module")
@@ -190,11 +193,8 @@ def test_a_flight_without_a_step_has_none(flights):
 
 def test_dashes_that_follow_each_other_are_not_taken_for_steps(tmp_path):
     """A dash turns the estimate as a step would: only its being usual tells that it is none."""
-    data = open_dataset(
-        generate(load_recipe("cruise"), 4, 60.0, tmp_path / "cruise.zarr", seed=9000, workers=1)
-    )
-    gyro, accel, quat = (data[name].to_numpy().astype(float) for name in ("gyro", "accel", "quat"))
-    dashes = gyro, accel, roll_pitch_from_quat(quat)
+    found = load_flights([generated(tmp_path, load_recipe("cruise"), 4, 60.0, seed=9000)])
+    dashes = found.gyro, found.accel, found.truth
     assert rmse(imm(), *dashes) < 1.15 * rmse(imm(step_ratio=1e9), *dashes)
 
 
