@@ -290,9 +290,8 @@ def _settling(est: AttitudeEstimator, pieces: Flights | None) -> Array:
 def _time_below(curve: Array) -> float:
     """Time after which a curve of blocks stays below `SETTLED_DEG` [s]; NaN if it never does."""
     above = np.flatnonzero(~(curve < SETTLED_DEG))
-    if curve.size == 0 or (above.size > 0 and above[-1] == curve.size - 1):
-        return float("nan")
-    return 0.0 if above.size == 0 else (float(above[-1]) + 1.0) * BLOCK_S
+    below = above[-1] + 1 if above.size > 0 else 0
+    return float(below * BLOCK_S) if below < curve.size else float("nan")
 
 
 def _behind(

@@ -85,30 +85,22 @@ INNOVATION_MAX = 5.0
 """Innovations count no further: one bad reading does no lasting harm [m/s²]."""
 GAP_SPEED = 3.0
 """Change of velocity in a gap, for each radian that may have been turned unseen [m/s]."""
-BIAS_MAX = math.radians(30.0)
-"""Bias that no gyroscope has [rad/s]; a filter that estimates one has diverged, and starts again."""
-SPEED_MAX = 60.0
-"""The same of a velocity or a wind [m/s]."""
+BIAS_MAX, SPEED_MAX = math.radians(30.0), 60.0
+"""Bias of the gyroscope [rad/s], velocity and wind [m/s] beyond which a filter has diverged and restarts."""
 FIRST_S = 0.1
 """Time for which the first value of a mean square counts [s]."""
 VIBRATION_MEMORY = 0.5
 """Memory of the innovation's vibration [s]."""
 WIND_WINDOW = 0.1
 """Memory of the airspeed's corrections [s]."""
-GUST_WINDOW = 0.04
-"""Memory of a gust front [s]."""
-GUST_RATIO = 2.0
-"""Variances that a low-passed innovation has at a gust front."""
-REST_RATE = 0.005
-"""Largest difference of low-passed rates at rest [rad/s]."""
-REST_RATE_MOST = 0.1
-"""Largest rate at rest, which is a bias [rad/s]."""
+GUST_WINDOW, GUST_RATIO = 0.04, 2.0
+"""Memory of a gust front [s], and variances that a low-passed innovation has at one."""
+REST_RATE, REST_RATE_MOST = 0.005, 0.1
+"""Largest difference of low-passed rates at rest, and largest rate there, which is a bias [rad/s]."""
 REST_ACCEL = 0.05
 """Largest difference of low-passed specific forces at rest [m/s²]."""
-REST_FAST = 0.1
-"""Time constant of the fast low-pass [s]."""
-REST_DELAY = 1.5
-"""Time constant of the slow one, and time for which both have to agree [s]."""
+REST_FAST, REST_DELAY = 0.1, 1.5
+"""Time constants of both low-passes [s]; for that of the slow one they have to agree."""
 REST_NOISE = 0.002
 """Noise density of the zero-rate update [rad/√s]."""
 

@@ -63,22 +63,23 @@ from .drag_aided import (
     diverged,
     mean_square,
 )
-from .imm_mixing import combine, mix
 from .imm_model import (
     COUNT,
     MODELS,
     MULTIROTOR,
+    STATE,
     USUAL_FIRST,
     Interval,
     across_thrust,
+    combine,
     correct_model,
+    mix,
     predict_model,
 )
-from .imm_model import STATE as MODEL
 
 RECORD = np.dtype(
     [
-        ("models", MODEL, (COUNT,)),
+        ("models", STATE, (COUNT,)),
         ("probability", "f8", COUNT),
         ("quat", "f8", 4),  # combined
         ("velocity", "f8", 3),
