@@ -24,6 +24,11 @@ from .filters.parameter import Parameter, checked
 from .networks.weights_file import END, load_network, shipped_controllers, shipped_names
 from .tuned import tuned_for
 
+VehicleLike = str | Path | Vehicle | None
+"""An airframe by its name, file or model; None where it is not known."""
+ImuLike = str | Path | ImuSpec | None
+"""An IMU in the same ways."""
+
 
 @dataclass(frozen=True)
 class Entry:
@@ -79,8 +84,8 @@ def create(
     rate_hz: float = 200.0,
     *,
     tuning: str | Path | None = None,
-    vehicle: str | Path | Vehicle | None = None,
-    imu: str | Path | ImuSpec | None = None,
+    vehicle: VehicleLike = None,
+    imu: ImuLike = None,
     **params: float | str | Path | None,
 ) -> AttitudeEstimator:
     """Make an estimator.
@@ -118,9 +123,7 @@ def create(
     return made(name, rate_hz, values)
 
 
-def loaded(
-    vehicle: str | Path | Vehicle | None, imu: str | Path | ImuSpec | None
-) -> tuple[Vehicle | None, ImuSpec | None]:
+def loaded(vehicle: VehicleLike, imu: ImuLike) -> tuple[Vehicle | None, ImuSpec | None]:
     """A vehicle and an IMU, each given by its name, file or model.
 
     Raises:
@@ -135,12 +138,7 @@ def loaded(
     )
 
 
-def tuning_misfit(
-    name: str,
-    tuning: str | Path | None,
-    vehicle: str | Path | Vehicle | None,
-    imu: str | Path | ImuSpec | None,
-) -> str:
+def tuning_misfit(name: str, tuning: str | Path | None, vehicle: VehicleLike, imu: ImuLike) -> str:
     """In words, what an estimator's parameters were tuned for and does not fly; empty where all is as tuned.
 
     Empty also where what flies is not known; the arguments are those of `create`.
@@ -157,14 +155,10 @@ def tuning_misfit(
     return " and ".join(others)
 
 
-def training_misfit(name: str, vehicle: str | Path | Vehicle) -> str:
+def training_misfit(name: str, vehicle: VehicleLike) -> str:
     """In words, the airframes that a network was trained on, where that which flies is none of them.
 
     Empty where it is, or where the weights do not say; a name may be a controller's, too.
-
-    Args:
-        name: Of an estimator or a controller, as `create` and `create_controller` take it.
-        vehicle: The simulated vehicle, as in `create`.
     """
     network = name.removesuffix("-loihi")
     if network not in (*NETWORKS, *shipped_names(), *shipped_controllers()) and not network.endswith(END):
@@ -180,10 +174,7 @@ def training_misfit(name: str, vehicle: str | Path | Vehicle) -> str:
 
 
 def tuned_elsewhere(
-    estimators: Iterable[str],
-    tuning: str | Path | None,
-    vehicle: str | Path | Vehicle | None,
-    imu: str | Path | ImuSpec | None,
+    estimators: Iterable[str], tuning: str | Path | None, vehicle: VehicleLike, imu: ImuLike
 ) -> list[str]:
     """A sentence for each other vehicle or IMU that parameters were tuned for, see `tuning_misfit`."""
     found: dict[str, list[str]] = {}

@@ -4,7 +4,6 @@ import logging
 import time
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, nullcontext
-from pathlib import Path
 from typing import Unpack
 
 import numpy as np
@@ -19,10 +18,9 @@ from quadsim.estimator import (
     roll_pitch_of,
 )
 from quadsim.own import named_errors
-from quadsim.vehicle import Vehicle
 
 from .filters.driver import paired
-from .registry import create, parameter_sets
+from .registry import VehicleLike, create, parameter_sets
 
 Array = NDArray[np.float64]
 SAME = 1e-4
@@ -168,7 +166,7 @@ def run_batch(
     accel: ArrayLike,
     rate_hz: float = 200.0,
     roll_pitch: ArrayLike | None = None,
-    vehicle: str | Path | Vehicle | None = None,
+    vehicle: VehicleLike = None,
     **sensors: Unpack[OtherSensors],
 ) -> Array:
     """Run p parameter sets of one estimator over n sequences.

@@ -11,9 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from quadsim.estimator import AttitudeEstimator, receives_truth
-from quadsim.imu.spec import ImuSpec
 from quadsim.runs.files import write_csv
-from quadsim.vehicle import Vehicle
 
 from ..circuit.estimator import Level
 from ..circuit.file import is_circuit
@@ -28,7 +26,7 @@ from ..metrics import (
 from ..networks.gru import Recurrent
 from ..networks.network import NetworkEstimator, Spiking, silenced
 from ..networks.weights_file import load_network, shipped_names
-from ..registry import FILTERPY, NETWORKS, create, is_weights
+from ..registry import FILTERPY, NETWORKS, ImuLike, VehicleLike, create, is_weights
 from ..running import missing_samples, run_checked, run_quietly
 from .flights import Flights, Initial, load_flights, vehicle_of
 
@@ -255,8 +253,8 @@ def made_of(
     names: Sequence[str],
     rate_hz: float,
     tuning: str | Path | None = None,
-    vehicle: str | Path | Vehicle | None = None,
-    imu: str | Path | ImuSpec | None = None,
+    vehicle: VehicleLike = None,
+    imu: ImuLike = None,
 ) -> dict[str, AttitudeEstimator]:
     """Estimators by name, or by the path of a network's weights; the arguments are those of `create`."""
     return {name: create(name, rate_hz, tuning=tuning, vehicle=vehicle, imu=imu) for name in names}
