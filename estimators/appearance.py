@@ -30,14 +30,10 @@ class Look(NamedTuple):
     marker: str  #: one of `MARKERS`
 
     @property
-    def line(self) -> dict[str, Any]:
-        """Keywords of matplotlib's `plot` for a line."""
-        return {"color": self.colour, "linestyle": (0, self.dash) if self.dash else "-"}
-
-    @property
     def points(self) -> dict[str, Any]:
         """Keywords of matplotlib's `plot` for a line with markers."""
-        return self.line | {"marker": self.marker}
+        dash = (0, self.dash) if self.dash else "-"
+        return {"color": self.colour, "linestyle": dash, "marker": self.marker}
 
 
 FIXED = {
