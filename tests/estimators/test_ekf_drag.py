@@ -91,17 +91,11 @@ def test_covariance_is_propagated_with_the_derivative_of_the_equations(seed):
     state = quat, rng.normal(0, 3, 3), wind, rng.normal(0, 0.1, 3), rng.normal(0, 0.2, 3)
     gyro, accel = rng.normal(0, 2, 3), np.array([0.3, -0.2, 9.81]) + rng.normal(0, 1, 3)
     plain = moved(state, gyro, accel, dt)
-    F = np.stack(
-        [
-            (
-                difference(plain, moved(perturbed(state, step * e), gyro, accel, dt))
-                - difference(plain, moved(perturbed(state, -step * e), gyro, accel, dt))
-            )
-            / (2 * step)
-            for e in np.eye(ERRORS)
-        ],
-        axis=1,
-    )
+
+    def after(error):
+        return difference(plain, moved(perturbed(state, error), gyro, accel, dt))
+
+    F = np.stack([(after(step * e) - after(-step * e)) / (2 * step) for e in np.eye(ERRORS)], axis=1)
     root = rng.normal(size=(ERRORS, ERRORS))
     P, noise = root @ root.T, rng.uniform(0, 1, 5)
     expected = F @ P @ F.T + np.diag(noise[PARTS])

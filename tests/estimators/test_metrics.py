@@ -89,6 +89,9 @@ def moving(n=2, samples=100):
     )
 
 
+NO_NUMBER = "returned roll or pitch that is not a finite number in"
+
+
 def spoiled(value, part):
     estimate = moving() + 0.01
     estimate[part] = value
@@ -100,14 +103,8 @@ def spoiled(value, part):
     [
         (spoiled(0.0, (0, slice(3), 0)), ""),
         (spoiled(0.1, 0), ""),
-        (
-            spoiled(np.nan, (0, slice(24), 1)),
-            "returned roll or pitch that is not a finite number in 12.0 % of the samples",
-        ),
-        (
-            spoiled(np.inf, (0, 0, 0)),
-            "returned roll or pitch that is not a finite number in 0.5 % of the samples",
-        ),
+        (spoiled(np.nan, (0, slice(24), 1)), f"{NO_NUMBER} 12.0 % of the samples"),
+        (spoiled(np.inf, (0, 0, 0)), f"{NO_NUMBER} 0.5 % of the samples"),
         (spoiled(1e20, (1, slice(6), 0)), "returned angles beyond ±100 rad in 3.0 % of the samples"),
         (spoiled(np.array([0.1, 0.0]), slice(None)), "returned the same roll and pitch at every sample"),
     ],
