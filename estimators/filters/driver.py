@@ -103,7 +103,7 @@ class BatchedFilter:
         raise NotImplementedError
 
 
-def estimate(field: str, about: str) -> property:
+def public_field(field: str, about: str) -> property:
     """A public field of the state; AttributeError for a filter that does not estimate it."""
 
     def get(self: "CompiledFilter") -> Array:
@@ -138,9 +138,9 @@ class CompiledFilter(BatchedFilter):
         """Covariance (n, 2, 2) [rad²] of the tilt's error about world x and y."""
         raise AttributeError(f"{self.name} has no covariance")
 
-    quat = estimate("quat", "Estimated quat_WB (n, 4).")
-    gyro_bias = estimate("gyro_bias", "Estimated gyroscope bias (n, 3) [rad/s].")
-    velocity = estimate("velocity", "Estimated velocity in the world axes of `quat`, (n, 3) [m/s].")
+    quat = public_field("quat", "Estimated quat_WB (n, 4).")
+    gyro_bias = public_field("gyro_bias", "Estimated gyroscope bias (n, 3) [rad/s].")
+    velocity = public_field("velocity", "Estimated velocity in the world axes of `quat`, (n, 3) [m/s].")
 
     @property
     def roll_pitch_sigma(self) -> Array:

@@ -41,7 +41,7 @@ ALPHA, BETA, KAPPA = 0.1, 2.0, 0.0
 """Scaling of the sigma points, and the usual choices for a Gaussian."""
 
 
-def up_in_body(q: Array) -> Array:
+def up_of_quat(q: Array) -> Array:
     """Predicted measurement h(q), quadratic in q: the direction R(q)ᵀ (0, 0, 1) for a unit q."""
     w, x, y, z = q
     return np.array([2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z])
@@ -120,7 +120,7 @@ class FilterpyEkf(BatchedFilter):
         kf.F = transition
         kf.predict()
         if direction is not None:
-            kf.update(direction, up_jacobian, up_in_body)
+            kf.update(direction, up_jacobian, up_of_quat)
 
     def _started(self, quat: Array, known: bool) -> NDArray[Any]:
         filters = np.array([self._made() for _ in quat], dtype=object)
@@ -161,7 +161,7 @@ def _fx(q: Array, dt: float, transition: Array) -> Array:
 
 
 def _hx(q: Array) -> Array:
-    return up_in_body(q) / (q @ q)
+    return up_of_quat(q) / (q @ q)
 
 
 @njit(cache=True, error_model="numpy")
