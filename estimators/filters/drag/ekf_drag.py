@@ -99,12 +99,12 @@ def adapt_wind(s, p, dt, removed):
 @njit
 def adapt_bias(s, p, dt, removed):
     """Inflate the variance of the gyroscope's bias where its corrections show that it has stepped."""
-    scatter = 0.0
+    leak, scatter = dt / p.step_time, 0.0
     for k in range(3):
-        s.bias_sum[k] += s.error[GYRO_BIAS + k] - s.bias_sum[k] * dt / p.step_time
+        s.bias_sum[k] += s.error[GYRO_BIAS + k] - s.bias_sum[k] * leak
         scatter += s.bias_sum[k] ** 2 / 3.0
-    s.bias_due += max(removed, 0.0) / 3.0 - 2.0 * s.bias_due * dt / p.step_time
-    inflation = max(scatter - p.step_ratio * s.bias_due, 0.0) * p.step_gain * dt / p.step_time
+    s.bias_due += max(removed, 0.0) / 3.0 - 2.0 * s.bias_due * leak
+    inflation = max(scatter - p.step_ratio * s.bias_due, 0.0) * p.step_gain * leak
     for k in range(GYRO_BIAS, ACCEL_BIAS):
         s.covariance[k, k] += inflation
 
