@@ -145,7 +145,8 @@ def evaluate(
     rows: list[dict[str, Any]] = []
     for k, (name, est) in enumerate(made.items()):
         progress(k, len(made), name)
-        flown = flights.first(slow_flights) if slow_flights and name in FILTERPY else flights
+        count = slow_flights if name in FILTERPY else None
+        flown = flights.map(lambda each, count=count: each[:count])
         starts = [s for s in initial if s == "unknown" or not isinstance(est, NetworkEstimator)]
         cases = {s: flown.known() if s == "known" else flown for s in starts}
         try:

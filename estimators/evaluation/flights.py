@@ -51,10 +51,6 @@ class Flights:
         """The flights from the second sample on, started at the true attitude of the first."""
         return self.map(lambda each: np.ascontiguousarray(each[:, 1:]), self.truth[:, 0])
 
-    def first(self, count: int) -> "Flights":
-        """The first `count` flights."""
-        return self.map(lambda each: each[:count], None if self.start is None else self.start[:count])
-
     def pieces(self, count: int) -> "Flights":
         """Every flight cut into `count` pieces of one length: all but the first in motion."""
         steps = self.gyro.shape[1] // count

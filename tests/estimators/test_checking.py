@@ -5,6 +5,7 @@ import pytest
 
 import estimators
 from estimators import check_estimator
+from estimators.custom import made_by
 
 
 class Fair:
@@ -34,6 +35,7 @@ def test_every_estimator_that_ships_passes(name):
 def test_a_plain_class_passes_at_any_rate():
     check_estimator(Fair)
     check_estimator(Fair, rate_hz=1000.0)
+    assert made_by("Fair", Fair, 1000.0, {}).rate_hz == 1000.0
 
 
 def spoiled(spoil):
