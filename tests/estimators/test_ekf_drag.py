@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from estimators import create, run
 from estimators.filters.drag.drag_aided import DRAG as ERRORS
-from estimators.filters.drag.drag_aided import propagate, transition
+from estimators.filters.drag.drag_aided import correct_by_zero_velocity, propagate, transition
 from estimators.filters.drag.ekf_drag import RECORD, drag_of
 from estimators.metrics import attitude_error
 from quadsim.rotation import (
@@ -143,6 +143,25 @@ def test_two_scalar_corrections_by_drag_are_filterpy_s_one_of_both_axes(make_fli
     np.testing.assert_allclose(state["accel_bias"], reference.x[C, 0], rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(state["wind"], reference.x[W, 0], rtol=1e-3, atol=1e-5)
     np.testing.assert_allclose(state["covariance"][:ERRORS, :ERRORS], reference.P, atol=1e-7)
+
+
+@njit
+def _correct_by_zero_velocity(records):
+    correct_by_zero_velocity(records[0], records[0], ERRORS, 3, 0.5, 0.2)
+
+
+def test_zero_velocity_is_measured_with_the_derivative_of_the_velocity():
+    root, v = np.random.default_rng(0).normal(size=(ERRORS, ERRORS)), np.array([1.0, -2.0, 0.5])
+    state = np.array([1.0, 0.0, 0.0, 0.0]), v, np.zeros(3), np.zeros(3), np.zeros(3)
+    H = np.stack([(perturbed(state, 1e-6 * e)[1] - v) / 1e-6 for e in np.eye(ERRORS)], axis=1)
+    records = np.zeros(1, RECORD)
+    records["velocity"], records["covariance"][0, :ERRORS, :ERRORS] = v, root @ root.T
+    _correct_by_zero_velocity(records)
+    reference = KalmanFilter(ERRORS, 3)
+    reference.P, reference.H, reference.R = root @ root.T, H, np.diag([0.5, 0.5, 0.2])
+    reference.update(-v)
+    np.testing.assert_allclose(records["error"][0, :ERRORS], reference.x[:, 0], atol=1e-4)
+    np.testing.assert_allclose(records["covariance"][0, :ERRORS, :ERRORS], reference.P, atol=1e-4)
 
 
 @settings(max_examples=15, deadline=None)
