@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from estimators import create, names, parameters, run, run_batch
 from estimators.filters.inline_math import atan2_core, exp_core, sincos_core
+from estimators.filters.samples import Sample, reacquire
 from estimators.metrics import inclination_error
 from estimators.registry import tuning_misfit
 from quadsim.rotation import (
@@ -257,6 +258,12 @@ def test_one_vehicle_can_be_started_again_while_the_others_fly_on(flights):
         both, alone = est.update(gyro[:, 0], accel[:, 0]), other.update(gyro[:, 0], accel[:, 0])
         np.testing.assert_array_equal(both[0], alone[0])
         assert np.degrees(np.abs(both[1] - [0.1, 0.2])).max() < 2.0
+
+
+def test_a_sample_without_a_force_takes_back_nothing_of_what_a_gap_has_left():
+    zero = (0.0, 0.0, 0.0)
+    sample = Sample(zero, zero, zero, found=False, rotor_square=0.0, unseen=0.5, ended=0.0, dt=0.005)
+    assert reacquire(0.1, sample) == (0.0, pytest.approx(0.6))
 
 
 FAULTS = {

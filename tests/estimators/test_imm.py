@@ -10,8 +10,9 @@ from estimators.evaluation.comparison import evaluate
 from estimators.evaluation.flights import load_flights
 from estimators.evaluation.logs import score_logs
 from estimators.filters.drag.drag_aided import ACCEL_BIAS, ERRORS, GYRO_BIAS, LEVER, SHARED, transition
-from estimators.filters.drag.imm import InteractingModels
+from estimators.filters.drag.imm import RECORD, InteractingModels, accumulate
 from estimators.filters.drag.imm_model import FREEDOM, MODELS, MULTIROTOR, STATE, adapt_bias, student
+from estimators.filters.samples import Sample
 from estimators.metrics import absolute_error, inclination_error
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
@@ -111,6 +112,25 @@ def test_the_density_is_student_s_t_of_scipy():
     ours = [student(x @ np.linalg.solve(shape, x), np.linalg.det(shape)) for x in points]
     theirs = multivariate_t(None, shape, FREEDOM).logpdf(points)  # pyright: ignore[reportArgumentType]
     np.testing.assert_allclose(np.diff(ours), np.diff(theirs), atol=1e-12)
+
+
+@njit
+def gather(records, sample, count):
+    """Take a sample into the sums of the first record, many times."""
+    for _ in range(count):
+        accumulate(records[0], sample)
+
+
+def test_a_force_is_integrated_in_the_axes_at_the_end_of_a_turn():
+    """In closed form: about z by one radian, with a force along body x."""
+    turn, count, dt = 1.0, 200, 1e-4
+    rate, force = (0.0, 0.0, turn / (count * dt)), (1.0, 0.0, 0.0)
+    sample = Sample(rate, rate, force, found=True, rotor_square=0.0, unseen=0.0, ended=0.0, dt=dt)
+    records = np.zeros(1, RECORD)
+    records["turn"][:, 0] = 1.0
+    gather(records, sample, count)
+    expected = np.array([np.sin(turn), np.cos(turn) - 1.0, 0.0]) / rate[2]
+    np.testing.assert_allclose(records["push"][0], expected, atol=0.01 * count * dt)
 
 
 # --- which model ------------------------------------------------------------------------------------
