@@ -31,7 +31,7 @@ from estimators.evaluation.flights import load_flights
 from estimators.metrics import Summary, attitude_error
 from quadsim.estimator import AttitudeEstimator
 from quadsim.imu.spec import ImuSpec, load_imu
-from quadsim.imu.stream import simulate_imu_with_bias
+from quadsim.imu.stream import motion_of, simulate_readings
 from quadsim.rotation import quat_rotate_inverse, wxyz_from_xyzw
 from quadsim.runs.files import replace
 from quadsim.runs.fingerprint import file_digest, fingerprint
@@ -222,9 +222,9 @@ def foreign(airframe: str, data: Path, imu: ImuSpec = ADIS16448) -> xr.Dataset:
     truth = {name: np.stack([flown[plan][name] for plan in plans]) for name in flown[plans[0]]}
     seeds = [np.random.SeedSequence(plan.seed) for plan in plans]
     motion = truth["ang_vel"], truth["specific_force"]
-    readings = simulate_imu_with_bias(imu, *motion, RATE_HZ, seeds, rotor_vel=truth["rotor_vel"])
+    felt = motion_of(imu, *motion, rotor_vel=truth["rotor_vel"])
     last = {"quat": "quat_axis", "rotor_vel": "rotor"}
-    everything = truth | dict(zip(("gyro", "accel", "gyro_bias", "accel_bias"), readings, strict=True))
+    everything = truth | simulate_readings(imu, felt, RATE_HZ, seeds)
     config = {"vehicle": vehicle(airframe).model_dump(mode="json"), "imu": imu.model_dump(mode="json")}
     return xr.Dataset(
         {name: (("flight", "time", last.get(name, "axis")), values) for name, values in everything.items()},

@@ -1,6 +1,6 @@
 """The IMU: the true motion of a body goes in, noisy and biased readings come out."""
 
 from .spec import ImuSpec, load_imu
-from .stream import ImuStream, simulate_imu, simulate_imu_with_bias
+from .stream import ImuStream, simulate_imu
 
-__all__ = ["ImuSpec", "ImuStream", "load_imu", "simulate_imu", "simulate_imu_with_bias"]
+__all__ = ["ImuSpec", "ImuStream", "load_imu", "simulate_imu"]

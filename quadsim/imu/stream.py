@@ -13,7 +13,7 @@ From the truth at the centre of mass, in body axes, to the reading; every part c
 Whole arrays and single samples go through the same compiled pass and give the same numbers.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -45,8 +45,9 @@ class ImuStream:
     """The IMUs of n vehicles, one sample at a time: the same numbers as `simulate_imu`.
 
     The random numbers of vehicle i follow from its seed alone: they do not change with n, nor with the parts
-    of the error that are switched on. `readings` are views of the last sample, an array (n, 3) for each of
-    `ImuSpec.sensors`; `records` (n,) and `noise` are what `quadsim.imu.kernel.measure` takes.
+    of the error that are switched on. `readings` and their true `biases` (turn-on and random walk) are views
+    of the last sample, an array (n, 3) for each of `ImuSpec.sensors`; `records` (n,) and `noise` are what
+    `quadsim.imu.kernel.measure` takes.
     """
 
     def __init__(
@@ -73,23 +74,16 @@ class ImuStream:
         self._flight = np.zeros(n, dtype=np.int64)
         self.records = np.zeros(n, IMU) if records is None else records
         self.records[:] = constants(spec, 1.0 / rate_hz)
-        self.readings = dict(zip(spec.sensors, self.records["reading"].swapaxes(0, 1), strict=True))
+        self.readings, self.biases = (
+            dict(zip(spec.sensors, self.records[name].swapaxes(0, 1), strict=True))
+            for name in ("reading", "bias")
+        )
         self._noises = noise_streams(spec)
         self._random: list[list[np.random.Generator]] = [[] for _ in range(n)]
         self.noise = np.zeros((n, NOISES, BLOCK, 3))
         self._at = 0
         for vehicle in range(n):
             self._switch_on(vehicle)
-
-    @property
-    def gyro_bias(self) -> Array:
-        """True bias in the last reading of the gyro, turn-on and random walk, shape (n, 3) [rad/s]."""
-        return self.records["bias"][:, GYRO].copy()
-
-    @property
-    def accel_bias(self) -> Array:
-        """True bias in the last reading of the accelerometer, shape (n, 3) [m/s²]."""
-        return self.records["bias"][:, ACCEL].copy()
 
     def reset(self, ids: Sequence[int] | NDArray[np.int64] | None = None) -> None:
         """Switch some vehicles' IMUs, or all, off and on: new biases and noise, from the next child seed."""
@@ -115,14 +109,9 @@ class ImuStream:
         Returns:
             gyro [rad/s] and accel [m/s²], each (n, 3), in sensor axes.
         """
-        given = {
-            "ang_vel": ang_vel,
-            "specific_force": specific_force,
-            "ang_acc": ang_acc,
-            "rotor_vel": rotor_vel,
-        }
-        rows = {name: np.asarray(each)[..., None, :] for name, each in _needed(self.spec, given).items()}
-        motion = _records((len(self.records), 1), rows)
+        given = (ang_vel, specific_force, ang_acc, rotor_vel)
+        series = (None if each is None else np.asarray(each)[..., None, :] for each in given)
+        motion = _motion(self.spec, (len(self.records), 1), *series)
         out, bias = np.empty((2, SENSORS, *motion.shape, 3))
         measure_series(self.records, self.noise, self.next_samples(), (0, 1), motion, out, bias)
         return out[GYRO, :, 0], out[ACCEL, :, 0]
@@ -180,33 +169,6 @@ def simulate_readings(
     return dict(zip((*spec.sensors, *biases), (*out, *bias), strict=True))
 
 
-def simulate_imu_with_bias(
-    spec: ImuSpec,
-    ang_vel: ArrayLike,
-    specific_force: ArrayLike,
-    rate_hz: float,
-    seed: Seed,
-    ang_acc: ArrayLike | None = None,
-    rotor_vel: ArrayLike | None = None,
-) -> tuple[Array, Array, Array, Array]:
-    """Readings and true biases of whole flights; arguments as in `simulate_imu`.
-
-    Returns:
-        gyro [rad/s], accel [m/s²] and their biases (turn-on and random walk), each (n, T, 3), in sensor axes.
-    """
-    motion = {
-        "ang_vel": ang_vel,
-        "specific_force": specific_force,
-        "ang_acc": ang_acc,
-        "rotor_vel": rotor_vel,
-    }
-    shape = _series("ang_vel", ang_vel, 3).shape[:2]
-    width = {name: 3 for name in motion} | {"rotor_vel": None}
-    given = {name: _series(name, each, width[name], shape) for name, each in _needed(spec, motion).items()}
-    found = simulate_readings(spec, _records(shape, given), rate_hz, seed)
-    return found["gyro"], found["accel"], found["gyro_bias"], found["accel_bias"]
-
-
 def simulate_imu(
     spec: ImuSpec,
     ang_vel: ArrayLike,
@@ -231,41 +193,40 @@ def simulate_imu(
         gyro [rad/s] and accel [m/s²], each (n, T, 3), in sensor axes.
 
     Raises:
-        ValueError: An array has the wrong shape or holds a number that is not finite.
+        ValueError: An array is missing, has the wrong shape or holds a number that is not finite.
     """
-    return simulate_imu_with_bias(spec, ang_vel, specific_force, rate_hz, seed, ang_acc, rotor_vel)[:2]
+    motion = motion_of(spec, ang_vel, specific_force, ang_acc, rotor_vel)
+    found = simulate_readings(spec, motion, rate_hz, seed)
+    return found["gyro"], found["accel"]
 
 
-def _needed(spec: ImuSpec, motion: dict[str, ArrayLike | None]) -> dict[str, ArrayLike]:
-    """What an IMU uses of a motion, by name."""
-    unused = set[str]()
-    for name, used, why in (
-        ("ang_acc", any(spec.lever_arm), "sits off the centre of mass"),
-        ("rotor_vel", spec.vibration is not None, "feels the vibration of the rotors"),
-    ):
-        if not used:
-            unused.add(name)
-        elif motion[name] is None:
-            raise ValueError(f"this IMU {why} and needs {name}")
-    return {name: values for name, values in motion.items() if values is not None and name not in unused}
-
-
-def _records(shape: tuple[int, ...], given: Mapping[str, ArrayLike]) -> NDArray[np.void]:
-    """Motion (n, T) as records; what is not given is zero."""
-    motion = np.zeros(shape, motion_dtype(np.shape(given.get("rotor_vel", (0.0,)))[-1]))
-    for name, values in given.items():
-        motion[name] = values
+def motion_of(
+    spec: ImuSpec,
+    ang_vel: ArrayLike,
+    specific_force: ArrayLike,
+    ang_acc: ArrayLike | None = None,
+    rotor_vel: ArrayLike | None = None,
+) -> NDArray[np.void]:
+    """Records (n, T) for `simulate_readings`; arguments and errors are those of `simulate_imu`."""
+    motion = _motion(spec, np.shape(ang_vel)[:2], ang_vel, specific_force, ang_acc, rotor_vel)
+    for name in motion.dtype.names or ():
+        for where in np.argwhere(~np.isfinite(motion[name]))[:1].tolist():
+            value = motion[name][tuple(where)]
+            raise ValueError(f"{name}{where} is {value}; all numbers must be finite")
     return motion
 
 
-def _series(name: str, value: ArrayLike, size: int | None, shape: tuple[int, ...] | None = None) -> Array:
-    """Array (n, T, size or rotors) of finite numbers, else ValueError."""
-    array = np.asarray(value, dtype=np.float64)
-    expected = f"({', '.join(map(str, shape or ('n', 'T')))}, {size or 'rotors'})"
-    right = array.ndim == 3 and (array.shape[2] == size if size else array.shape[2] <= MAX_ROTORS)
-    if not right or (shape is not None and array.shape[:2] != shape):
-        raise ValueError(f"{name} has shape {array.shape}; it must be {expected}")
-    if not np.isfinite(array).all():
-        where = tuple(int(index) for index in np.argwhere(~np.isfinite(array))[0])
-        raise ValueError(f"{name}{list(where)} is {array[where]}; all numbers must be finite")
-    return array
+def _motion(spec: ImuSpec, shape: tuple[int, ...], *given: ArrayLike | None) -> NDArray[np.void]:
+    """Records (n, T) of what an IMU uses of a motion; the rest of them is zero."""
+    arrays = [None if each is None else np.asarray(each, np.float64) for each in given]
+    used = (True, True, any(spec.lever_arm), spec.vibration is not None)
+    *_, rotors = (1,) if arrays[3] is None else (1, *arrays[3].shape)
+    motion = np.zeros(shape, motion_dtype(min(rotors, MAX_ROTORS)))
+    for name, array, is_used in zip(motion.dtype.names or (), arrays, used, strict=True):
+        if is_used and (array is None or array.shape != motion[name].shape):
+            width = f"at most {MAX_ROTORS} rotors" if name == "rotor_vel" else 3
+            found = "nothing" if array is None else array.shape
+            raise ValueError(f"this IMU needs {name} of shape (n, T, {width}), n × T = {shape}, not {found}")
+        if is_used:
+            motion[name] = array
+    return motion

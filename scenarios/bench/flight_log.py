@@ -84,7 +84,7 @@ def _signals(mission: Mission, added_bias: Array) -> Array:
         [
             np.degrees(mission.readings.gyro[0]),
             mission.readings.accel[0],
-            np.degrees(added_bias + (0.0 if mission.imu is None else mission.imu.gyro_bias[0])),
+            np.degrees(added_bias + (0.0 if mission.imu is None else mission.imu.biases["gyro"][0])),
             np.degrees(_own(mission.estimator, "gyro_bias", mission.n, 3)),
             mission.air[0],
             mission.controller.rotor_vel_cmd[0],

@@ -48,7 +48,7 @@ def test_true_bias_is_that_of_the_imu_and_of_the_fault():
     mission, flights = flown("mahony")
     bias = vector(flights.signals, "bias")
     np.testing.assert_allclose(bias[26] - bias[23], STEP.bias_deg, atol=0.02)  # but for the random walk
-    np.testing.assert_allclose(np.radians(bias[-1] - STEP.bias_deg), mission.imu.gyro_bias[0], atol=1e-4)
+    np.testing.assert_allclose(np.radians(bias[-1] - STEP.bias_deg), mission.imu.biases["gyro"][0], atol=1e-4)
 
 
 def test_mean_reading_of_a_hover_is_the_true_bias():
