@@ -1,6 +1,7 @@
 """An IMU's noise from a log in which it lies still: Allan variance, with the simulator's model fitted."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -43,8 +44,6 @@ class SensorNoise(NamedTuple):
 
     bias: Array
     """Mean of each axis over the log; the accelerometer's along gravity alone."""
-    bias_sd: float
-    """Standard deviation of an axis of that mean by white noise, 1/√T of the samples' own."""
     turn_on: float
     """Standard deviation of the turn-on bias, from that mean."""
     noise: float
@@ -73,27 +72,20 @@ class Calibration:
     rate_hz: float
 
     @property
-    def lacking(self) -> list[str]:
+    def lacking(self) -> Iterator[str]:
         """What the log is too short for, and how long it has to be, a sentence each."""
+        here = f"{self.still_s:.0f} s"
         if self.still_s < WALK_S:
-            return [
-                f"bias random walk and its time constant: need {WALK_S:g} s at rest at a stretch at least, "
-                f"an hour to be sure; here are {self.still_s:.0f} s"
-            ]
-        found = []
+            least = f"need {WALK_S:g} s at rest at a stretch at least, an hour to be sure; here are {here}"
+            yield f"bias random walk and its time constant: {least}"
+            return
         for name, unit, sensor in self.sensors:
             if sensor.random_walk == 0.0:
-                bound = WALK_SHOWS * sensor.noise / self.still_s
-                found.append(
-                    f"{name}, bias random walk: none shows in {self.still_s:.0f} s, it is below about "
-                    f"{bound:.2g} {unit}/√s; a smaller one needs a longer log"
-                )
+                bound = f"it is below about {WALK_SHOWS * sensor.noise / self.still_s:.2g} {unit}/√s"
+                text = f"none shows in {here}, {bound}; a smaller one needs a longer log"
+                yield f"{name}, bias random walk: {text}"
             elif not sensor.resolved:
-                found.append(
-                    f"{name}, time constant: more than {self.still_s:.0f} s; needs a log several times as "
-                    "long as itself"
-                )
-        return found
+                yield f"{name}, time constant: more than {here}; needs a log several times as long as itself"
 
     @property
     def sensors(self) -> tuple[tuple[str, str, SensorNoise], tuple[str, str, SensorNoise]]:
@@ -209,37 +201,35 @@ def write_imu(calibration: Calibration, out: Path) -> None:
 
 
 def _fitted(signal: Array, rate_hz: float, bias: Array, turn_on: float) -> SensorNoise:
-    """The model with the Allan variance nearest to that of three axes (T, 3), as much as T allows."""
+    """The model with the Allan variance nearest to that of three axes (T, 3), as much as T allows.
+
+    N, σ_b and τ, or N alone, by least squares on the logarithm, weighted by the degrees of freedom.
+    """
     sizes = np.unique(np.geomspace(1, max(2, int(len(signal) * LONGEST)), POINTS).astype(np.int64))
     times = sizes / rate_hz
     variance = allan_variance(signal, rate_hz, sizes).mean(axis=1)
-    freedom = 3 * np.maximum(len(signal) / sizes - 1, 1.0)
-    fitted = _fit(times, variance, freedom, len(signal) / rate_hz >= WALK_S)
-    bias_sd = float(np.sqrt(signal.var(axis=0).mean() / len(signal)))
-    return SensorNoise(bias, bias_sd, turn_on, *fitted, times, np.sqrt(variance))
-
-
-def _fit(times: Array, variance: Array, freedom: Array, with_walk: bool) -> tuple[float, float, float, bool]:
-    """N, σ_b and τ, or N alone, by least squares on the logarithm, weighted by the degrees of freedom."""
     # Neighbouring points are of the same samples, so that many short ones must not outweigh the rest.
-    sure = np.sqrt(np.minimum(freedom, 300.0) / 2)
+    freedom = np.minimum(3 * np.maximum(len(signal) / sizes - 1, 1.0), 300.0)
     longest = float(times[-1] / LONGEST)
 
-    def residual(p: Array) -> Array:
-        return sure * np.log(model_variance(times, *np.exp(p)) / variance)
+    def cost(*model: float) -> Array:
+        return np.sqrt(freedom / 2) * np.log(model_variance(times, *model) / variance)
 
-    if not with_walk:
-        weights = sure**2
-        return float(np.exp(0.5 * np.average(np.log(variance * times), weights=weights))), 0.0, longest, False
+    def sensor(noise: float, walk: float = 0.0, tau: float = longest, resolved: bool = False) -> SensorNoise:
+        found = (float(noise), float(walk), float(tau), bool(resolved))
+        return SensorNoise(bias, turn_on, *found, times, np.sqrt(variance))
+
+    if len(signal) / rate_hz < WALK_S:
+        return sensor(np.exp(0.5 * np.average(np.log(variance * times), weights=freedom / 2)))
     white, walk = np.sqrt(variance[0] * times[0]), np.sqrt(variance[-1] / times[-1])
     bounds = (np.log([white / 10, walk / 1e3, 10 * times[0]]), np.log([white * 10, walk * 1e3, longest]))
     starts = (np.log([white, walk, tau]) for tau in (longest / 30, longest / 3, longest))
-    best = min((least_squares(residual, start, bounds=bounds) for start in starts), key=lambda fit: fit.cost)
+    fits = [least_squares(lambda p: cost(*np.exp(p)), start, bounds=bounds) for start in starts]
+    best = min(fits, key=lambda fit: fit.cost)
     noise, walk, tau = np.exp(best.x)
-    flat = np.sum((sure * np.log(model_variance(times, noise, 0.0, 1.0) / variance)) ** 2) / 2
-    if flat < best.cost + CHANCE:
-        return float(noise), 0.0, float(longest), False
-    return float(noise), float(walk), float(tau), bool(tau < 0.9 * longest)
+    if np.sum(cost(noise, 0.0, 1.0) ** 2) / 2 < best.cost + CHANCE:
+        return sensor(noise)
+    return sensor(noise, walk, tau, tau < 0.9 * longest)
 
 
 def draw(calibration: Calibration) -> Figure:
@@ -257,19 +247,17 @@ def draw(calibration: Calibration) -> Figure:
 
 def show_calibration(found: Calibration, out: Path) -> None:
     """Print a calibration, and write its IMU file and picture: `identify --still`."""
-    rows = []
-    for (name, unit, sensor), seen in zip(found.sensors, ("", ", along gravity"), strict=True):
-        values = (f"{value:+.5f}" for value in sensor.bias)
-        rows.append((f"{name}{seen}, {unit}", *values, f"{sensor.bias_sd:.5f}"))
-    print_table(rows, ("sensor", "bias x", "y", "z", "1 SD by noise"))
     write_imu(found, out)
     save_figure(out.with_suffix(".png"), draw(found), dpi=130)
     rows = []
-    for name, unit, sensor in found.sensors:
+    for (name, unit, sensor), seen in zip(found.sensors, ("", ", along gravity"), strict=True):
+        bias = (f"{value:+.5f}" for value in sensor.bias)
         tau = f"{'' if sensor.resolved else '> '}{sensor.time_constant:.0f}" if sensor.random_walk else "-"
         walk = f"{sensor.random_walk:.4g}" if sensor.random_walk else "-"
-        rows.append((f"{name}, {unit}", f"{sensor.noise:.4g}", walk, tau, f"{sensor.turn_on:.3g}"))
-    print_table(rows, ("sensor", "noise density", "bias random walk", "time constant, s", "turn-on bias"))
+        turn_on = f"{sensor.turn_on:.3g}"
+        rows.append((f"{name}{seen}, {unit}", *bias, turn_on, f"{sensor.noise:.4g}", walk, tau))
+    headings = ("bias x", "y", "z", "turn-on bias", "noise density", "bias random walk", "time constant, s")
+    print_table(rows, ("sensor", *headings))
     for line in found.lacking:
         say(f"! {line}")
     say(f"{out}: an IMU from {found.still_s:.0f} s at rest; quadsim generate --set imu={out}")
