@@ -52,28 +52,26 @@ def longest_part(log: Recording) -> tuple[Recording, dict[str, int]]:
     Raises:
         ValueError: Too few samples, rows out of order, or a sample rate that no IMU has.
     """
-    stamped = np.isfinite(log.time)
-    back = np.diff(log.time[stamped]) < -BACK_S
+    unstamped = ~np.isfinite(log.time)
+    back = np.diff(log.time[~unstamped]) < -BACK_S
     if back.sum() > UNSORTED * back.size:
         share = f"{100 * back.mean():.0f} %"
         raise ValueError(f"{log.name}: {share} of the stamps go back: sort the rows by time")
     parts = split(log)
-    log = max(parts, key=lambda part: part.time.size)
-    unstamped = int((~stamped).sum()) - int((~np.isfinite(log.time)).sum())
-    log, counted = _cleaned(log)
+    log, counted = _cleaned(max(parts, key=lambda part: part.time.size))
     time, period = log.time, float(np.median(np.diff(log.time)))
-    rate = 1.0 / period
-    if not RATES_HZ[0] <= rate <= RATES_HZ[1]:
+    if not RATES_HZ[0] <= 1.0 / period <= RATES_HZ[1]:
         raise ValueError(
-            f"{log.name}: {rate:.3g} samples a second; {RATES_HZ[0]:g} to {RATES_HZ[1]:g} are allowed: "
-            f"{_unit_of_stamps(rate)}"
+            f"{log.name}: {1.0 / period:.3g} samples a second; {RATES_HZ[0]:g} to {RATES_HZ[1]:g} are "
+            f"allowed: {_unit_of_stamps(period)}"
         )
     if time[-1] - time[0] > SPARSE * period * time.size:
         raise ValueError(
-            f"{log.name}: {time.size} samples at {rate:.0f} Hz in {time[-1] - time[0]:.0f} s: "
+            f"{log.name}: {time.size} samples at {1.0 / period:.0f} Hz in {time[-1] - time[0]:.0f} s: "
             "most of the log is missing"
         )
-    return log, counted | {"missing": counted["missing"] + unstamped, "parts": len(parts)}
+    counted["missing"] += int(unstamped.sum())
+    return log, counted | {"parts": len(parts)}
 
 
 def split(log: Recording) -> list[Recording]:
@@ -87,18 +85,20 @@ def split(log: Recording) -> list[Recording]:
     Raises:
         ValueError: No part has enough samples.
     """
-    stamps = log.time[np.isfinite(log.time)]
-    good = np.flatnonzero(np.isfinite(log.time))
-    good = good[_together(stamps)]
-    cuts = np.flatnonzero(np.abs(np.diff(log.time[good])) > LONGEST_GAP_S) + 1
-    parts = [part for part in np.split(good, cuts) if part.size >= FEWEST]
-    if not parts:
-        step = float(np.median(np.abs(np.diff(stamps)))) if stamps.size > 1 else 0.0
-        hint = f": {step:.3g} s apart, {_unit_of_stamps(1 / step)}" if step > LONGEST_GAP_S else ""
-        raise ValueError(f"{log.name}: {good.size} usable samples; at least {FEWEST} are required{hint}")
-    if len(parts) == 1 and parts[0].size == log.time.size:
-        return [log]
+    stamped = np.flatnonzero(np.isfinite(log.time))
+    together = _between_gaps(log.time, stamped)
+    if not together:
+        period = float(np.median(np.abs(np.diff(log.time[stamped])))) if stamped.size > 1 else 0.0
+        hint = f": {period:.3g} s apart, {_unit_of_stamps(period)}" if period > LONGEST_GAP_S else ""
+        raise ValueError(f"{log.name}: 0 usable samples; at least {FEWEST} are required{hint}")
+    parts = _between_gaps(log.time, np.concatenate(together))
     return [replace(log, time=log.time[part], gyro=log.gyro[part], accel=log.accel[part]) for part in parts]
+
+
+def _between_gaps(time: Array, rows: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Rows with `FEWEST` neighbours in the log that are near in time, by parts."""
+    cuts = np.flatnonzero(np.abs(np.diff(time[rows])) > LONGEST_GAP_S) + 1
+    return [part for part in np.split(rows, cuts) if part.size >= FEWEST]
 
 
 def gaps_of(time: Array) -> tuple[NDArray[np.bool_], dict[str, Any]]:
@@ -153,46 +153,40 @@ def stuck_samples(readings: Array, period: float) -> NDArray[np.bool_]:
     return stuck
 
 
-def _unit_of_stamps(rate_hz: float) -> str:
-    """What stamps at a rate that cannot be are likely in."""
-    units = {"ms": 1e3, "us": 1e6, "ns": 1e9}
-    likely = [
-        f'in {unit} (time.unit = "{unit}")'
-        for unit, per_s in units.items()
-        if 50.0 <= rate_hz * per_s <= 4000.0
-    ]
-    return f"are the stamps {likely[0]}?" if likely else "look at the unit of the stamps"
+def _unit_of_stamps(period: float) -> str:
+    """The unit that stamps are likely in whose period cannot be in seconds."""
+    for unit, per_s in {"ms": 1e3, "us": 1e6, "ns": 1e9}.items():
+        if 50.0 <= per_s / period <= 4000.0:
+            return f'are the stamps in {unit} (time.unit = "{unit}")?'
+    return "look at the unit of the stamps"
 
 
-def _together(time: Array) -> NDArray[np.bool_]:
-    """Stamps with `FEWEST` neighbours in the log that are near in time; the others are a clock's mistakes."""
-    cuts = np.flatnonzero(np.abs(np.diff(time)) > LONGEST_GAP_S) + 1
-    sizes = np.diff(cuts, prepend=0, append=time.size)
-    return np.repeat(sizes >= FEWEST, sizes)
+def forward(time: Array, least: float = 0.0) -> NDArray[np.bool_]:
+    """Stamps (T,) that are later than all before them by more than a time [s]."""
+    return np.diff(np.maximum.accumulate(time), prepend=-np.inf) > least
 
 
 def _cleaned(log: Recording) -> tuple[Recording, dict[str, int]]:
     """Readings with finite numbers and stamps that go forward, and how many were otherwise."""
     readings = np.concatenate([log.gyro, log.accel], axis=1)
-    finite = np.isfinite(readings).all(axis=1) & np.isfinite(log.time)
+    finite = np.isfinite(readings).all(axis=1)
     beyond = finite & (np.abs(readings) > np.repeat([RATE_MAX, FORCE_MAX], 3)).any(axis=1)
     if beyond.sum() <= RARE * finite.sum():  # many are no spikes, but of another unit
         finite &= ~beyond
     readings, time = readings[finite], log.time[finite]
-    if time.size < FEWEST:
-        raise ValueError(f"{log.name}: {time.size} usable samples; at least {FEWEST} are required")
     steps = np.diff(time)
     apart = steps[steps > EXACT_S]
     least = max(EXACT_S, CLOSEST * float(np.median(apart))) if apart.size else EXACT_S
-    latest = np.maximum.accumulate(time)
-    forward = np.concatenate([[True], time[1:] > latest[:-1] + least])
-    readings, time = readings[forward], time[forward]
+    good = forward(time, least)
+    readings, time = readings[good], time[good]
     if time.size < FEWEST:
-        raise ValueError(f"{log.name}: only {time.size} of its stamps go forward")
+        raise ValueError(
+            f"{log.name}: {time.size} usable samples whose stamps go forward; at least {FEWEST} are required"
+        )
     same = (readings[1:] == readings[:-1]).all(axis=1)
     counted = {
         "missing": int((~finite).sum()),
-        "stamps_back": int((~forward).sum()),
+        "stamps_back": int((~good).sum()),
         "clock_back_ms": round(-1e3 * float(steps.min(initial=0.0))),
         "repeated": int(same.sum()),
     }

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from ..dataset.store import LABELS, VARIABLES, Variable
 from ..rotation import quat_rotate, wxyz_from_xyzw, xyzw_from_wxyz
-from .cleaning import EXACT_S, LONGEST_GAP_S, gaps_of, longest_part, stuck_samples
+from .cleaning import EXACT_S, LONGEST_GAP_S, forward, gaps_of, longest_part, stuck_samples
 from .faults import fast_part, find_faults
 from .log_report import AXES, LogReport
 from .mounting import level, turn_at_rest
@@ -63,8 +63,9 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
     gyro, accel = even[:, :3], even[:, 3:]
     truth, truth_rate = _truth(log, grid)
     sensors = {
-        name: interpolated(grid, *_forward(track.time, track.values), SENSOR_GAP_S)
+        name: interpolated(grid, track.time[sound], track.values[sound], SENSOR_GAP_S)
         for name, track in log.sensors.items()
+        for sound in [_sound(*track)]
     }
     quat = truth["quat"]
     known = np.isfinite(quat).all(axis=1) & np.isfinite(even).all(axis=1)
@@ -135,12 +136,10 @@ def _even(
     return CubicSpline(fine, smooth)(grid)
 
 
-def _forward(time: Array, values: Array, start: float = -np.inf, end: float = np.inf) -> tuple[Array, Array]:
-    """Rows (K, ·) of finite numbers whose stamps are within limits and after all before."""
-    good = np.isfinite(values).all(axis=1) & (time >= start) & (time <= end)
-    time, values = time[good], values[good]
-    forward = np.diff(np.maximum.accumulate(time), prepend=-np.inf) > 0
-    return time[forward], values[forward]
+def _sound(time: Array, values: Array) -> NDArray[np.int64]:
+    """Rows (K, ·) of finite numbers whose stamps are after all before."""
+    good = np.flatnonzero(np.isfinite(values).all(axis=1) & np.isfinite(time))
+    return good[forward(time[good])]
 
 
 def interpolated(grid: Array, time: Array, values: Array, longest_s: float) -> Array:
@@ -163,14 +162,15 @@ def _truth(log: Recording, grid: Array) -> tuple[dict[str, Array], float]:
     if log.quat is None or log.truth_time is None:
         return out, 0.0
     length = np.linalg.norm(log.quat, axis=1, keepdims=True)
-    rows = np.where((length > 0.5) & np.isfinite(length), log.quat, np.nan)
-    rows = np.column_stack([rows, np.arange(len(rows), dtype=np.float64)])
-    time, rows = _forward(log.truth_time, rows, grid[0] - LONGEST_GAP_S, grid[-1] + LONGEST_GAP_S)
-    if time.size < 2:
+    near = (log.truth_time >= grid[0] - LONGEST_GAP_S) & (log.truth_time <= grid[-1] + LONGEST_GAP_S)
+    sound = near[:, None] & (length > 0.5) & np.isfinite(length)
+    kept = _sound(log.truth_time, np.where(sound, log.quat, np.nan))
+    if kept.size < 2:
         return out, 0.0
-    kept, known = rows[:, 4].astype(int), _between(grid, time, TRUTH_GAP_S)
+    time = log.truth_time[kept]
+    known = _between(grid, time, TRUTH_GAP_S)
     if known.any():
-        turns = Slerp(time, Rotation.from_quat(xyzw_from_wxyz(rows[:, :4])))
+        turns = Slerp(time, Rotation.from_quat(xyzw_from_wxyz(log.quat[kept])))
         out["quat"][known] = wxyz_from_xyzw(turns(grid[known].clip(time[0], time[-1])).as_quat())
     after = np.clip(np.searchsorted(time, grid), 1, time.size - 1)
     mark = np.ones(len(kept), bool) if log.marked is None else log.marked[kept]
