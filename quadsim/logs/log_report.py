@@ -1,6 +1,6 @@
 """What was found in a log, and the sentences that say what is wrong with it and how it is corrected."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,6 +43,11 @@ TILT_DEG = 5.0
 breeze on a hovering vehicle amount to two or three."""
 FAR_DEG = 45.0
 """and by more than this it is for want of a mount, which is named [deg]."""
+UNITS = {
+    "accel": {"g": 1 / 9.81, "mg": 1e3 / 9.81},
+    "gyro": {"deg/s": 180 / np.pi, "rad/s": np.pi / 180},
+}
+"""Units that a sensor's readings are mistaken in, and the factor by which they are then wrong."""
 DELAY_TOLERANCE_S = 0.01
 """The truth may be this late or early before it is reported: two samples of the network's."""
 DOWNWARD = (
@@ -137,14 +142,8 @@ class LogReport:
         yield from (f"{sensor} reads the same number all the time" for sensor in self.still)
         low, high = WEIGHTS
         if "the accelerometer" not in self.still and not low <= self.weight <= high:
-            known = {
-                1 / 9.81: 'in g (accel.unit = "g")',
-                1e3 / 9.81: 'in mg (accel.unit = "mg")',
-                10.0: "ten times too large",
-            }
-            unit = _unit_of(self.weight / 9.81, known)
             force = f"the specific force has a median of {self.weight:.4g} m/s²"
-            yield f"{force}, and gravity alone is 9.8: {unit}"
+            yield f"{force}, and gravity alone is 9.8: {_unit_of('accel', self.weight / 9.81)}"
         elif self.truth == "none" and self.upright < UPRIGHT:
             mend = DOWNWARD if self.upright < -UPRIGHT else f"is the frame FLU? {self._mend}"
             yield (
@@ -157,11 +156,9 @@ class LogReport:
         if self.aligned is None:
             seconds, rate = self.rest or (0, 0.0)
             if rate > REST_RATE and seconds * rate > REST_TURN:
-                yield (
-                    f"at rest for {seconds} s, the gyroscope reads {rate:.3g} rad/s across "
-                    f"the vertical, which would turn it by {np.degrees(seconds * rate):.0f}°: is it in deg/s "
-                    '(gyro.unit = "deg/s")?'
-                )
+                turn = f"across the vertical, which would turn it by {np.degrees(seconds * rate):.0f}°"
+                read = f"at rest for {seconds} s, the gyroscope reads {rate:.3g} rad/s {turn}"
+                yield f"{read}: {_unit_of('gyro', 180 / np.pi)}"
             return
         low, high = SLOPES
         slope, r = self.aligned.slope, max(self.aligned.rotated_agreement, 1e-3)
@@ -170,14 +167,9 @@ class LogReport:
         if slope > NO_TURN:
             yield "the truth hardly turns where the gyroscope does"
         elif r * slope > high or slope / r < low:  # whatever the noise of both
-            known = {
-                180 / np.pi: 'in deg/s (gyro.unit = "deg/s"), or the truth in rad',
-                np.pi / 180: 'in rad/s (gyro.unit = "rad/s"), or the truth in deg',
-                10.0: "ten times too large",
-            }
             yield (
                 f"the gyroscope reads {slope:.3g} times the rate at which the truth turns (slope): "
-                f"{_unit_of(slope, known, r)}"
+                f"{_unit_of('gyro', slope, r)}"
             )
 
     def _frame_faults(self) -> Iterator[str]:
@@ -227,13 +219,13 @@ class LogReport:
 
     def _frame_warnings(self) -> Iterator[str]:
         """A truth that is missing or late, or an IMU that is mounted in another way."""
-        found, mean, rest = self.aligned, self.level, self.rest
+        found, rest = self.aligned, self.rest
         if self.truth == "none":
             yield UNSCORED
             if rest and rest.seconds >= LEAST_REST_S and rest.rate > LARGE_BIAS:
                 rate = f"{np.degrees(rest.rate):.1f} °/s across the vertical"
                 failing = any(fault.sensor == "gyroscope" for fault in self.sensor_faults)
-                mend = FAILING if failing else f"`quadsim identify {self.path or 'LOG'} --still`"
+                mend = FAILING if failing else f"`quadsim identify {self.path} --still`"
                 yield f"at rest for {rest.seconds} s, the gyroscope reads {rate}, a large bias: {mend}"
             if self.vibration > VIBRATION:
                 yield (
@@ -248,8 +240,8 @@ class LogReport:
             if found and found.turned.gain > MOUNTED_GAIN and found.turned.common > MOUNTED_AGREEMENT:
                 turned = f"the gyroscope rotated by {found.turned.rotation_deg:.0f}°"
                 yield f"the truth turns as {turned} does: {self._mend_of_truth}"
-            if mean and mean.tilt_deg > TILT_DEG + 2 * mean.sd_deg:
-                yield f"the mean specific force is {mean.tilt_deg:.1f}° from body z: {self._mend}"
+            if self.tilted:
+                yield self.tilted
         if found and abs(found.delay_s) > DELAY_TOLERANCE_S and self._agrees:
             ms, which = abs(found.delay_s) * 1e3, "late" if found.delay_s > 0 else "early"
             yield f"the truth is {ms:.0f} ms {which}: scores count that as errors of the estimators"
@@ -276,15 +268,15 @@ class LogReport:
     def _mend(self) -> str:
         far = self.level is not None and self.level.tilt_deg > FAR_DEG
         about = f', about --mount "{mount_text(self.level.mount)}"' if self.level and far else ""
-        command = f"quadsim report {self.path or 'LOG'} --find-mount best"
-        return f"`{command}` estimates the --mount that corrects it{about}"
+        return f"`quadsim report {self.path} --find-mount best` estimates the --mount that corrects it{about}"
 
     @property
-    def far_from_level(self) -> str:
-        """Of a log that is further from level than flights are, what corrects it; else empty."""
-        if self.level is None or self.level.tilt_deg <= FAR_DEG:
+    def tilted(self) -> str:
+        """Of a mean force that is far from body z, how far and what corrects it; else empty."""
+        mean = self.level
+        if mean is None or mean.tilt_deg <= TILT_DEG + 2 * mean.sd_deg:
             return ""
-        return f"the mean specific force is {self.level.tilt_deg:.0f}° from body z: {self._mend}"
+        return f"the mean specific force is {mean.tilt_deg:.1f}° from body z: {self._mend}"
 
     @property
     def _mend_of_truth(self) -> str:
@@ -324,8 +316,9 @@ def show_report(path: Path, report: LogReport) -> None:
     say(f"{path}: {report.duration_s:.1f} s, {verdict}")
 
 
-def _unit_of(ratio: float, known: Mapping[float, str], r: float = 1.0) -> str:
-    """What a factor looks like that is uncertain between r and 1/r times itself."""
-    near = 0.25 - np.log(r)
-    found = next((name for factor, name in known.items() if abs(np.log(ratio / factor)) < near), None)
-    return f"is it {found}?" if found else "look at its unit, and at that of the stamps"
+def _unit_of(sensor: str, ratio: float, r: float = 1.0) -> str:
+    """The unit that a factor looks like that is uncertain between r and 1/r times itself."""
+    for unit, factor in UNITS[sensor].items():
+        if abs(np.log(ratio / factor)) < 0.25 - np.log(r):
+            return f'is it in {unit} ({sensor}.unit = "{unit}")?'
+    return "look at its unit, and at that of the stamps"

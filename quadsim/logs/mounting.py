@@ -143,7 +143,7 @@ def estimate_mount(log: xr.Dataset, given: str | None = None, from_level: bool =
         else:
             found = mount_from_level(level(gyro, accel, rate_hz))
     except ValueError as error:
-        raise ValueError(f"{report.path or log.attrs['source']}: {error}") from None
+        raise ValueError(f"{report.path}: {error}") from None
     return found if given is None else found._replace(body_from_imu=found.body_from_imu @ mount_matrix(given))
 
 

@@ -71,7 +71,7 @@ class Recording:
     """In the world, on the stamps of the attitude (M, 3) [m]."""
     marked: NDArray[np.bool_] | None = None
     """Samples of the attitude (M,) that the recording marks for scoring; None: all."""
-    path: str = ""
+    path: str = "LOG"
     """The file, for what a command is to be given."""
     notes: tuple[str, ...] = ()
     """What the reader decided, in sentences for people."""

@@ -63,7 +63,7 @@ def evaluate_logs(
     reasons = {path: unscorable(log, within_deg=within_deg) for path, log in read.items()}
     left_out = {}
     for path, reason in reasons.items():
-        far = reports[path].far_from_level if reason and "--within" in reason else ""
+        far = reports[path].tilted if reason and "--within" in reason else ""
         if reason:
             left_out[path] = f"{path}: nothing to score: {reason}{f'; {far}' if far else ''}"
     used = sorted((path for path in paths if reasons[path] in (None, NO_ATTITUDE)), key=left_out.__contains__)
