@@ -49,14 +49,21 @@ class ScoredLog:
     """Samples that count (T,)."""
     faults: tuple[SensorFault, ...]
     """Faults of its sensors that begin inside it."""
-    bias: GyroBias | None = None
-    """Mean bias of its gyroscope; None for a log without a true attitude."""
+    unscorable: str = ""
+    """Why nothing of it can be scored; empty where something can."""
     estimates: dict[str, Array] = field(default_factory=dict)
     """Estimator to roll and pitch (T, 2) [rad]."""
     beliefs: dict[str, Beliefs] = field(default_factory=dict)
     """Estimator that has models to what it believed of them."""
     comparison: Comparison | None = None
     """How estimators differ on a log without a true attitude, which has no rows in the table."""
+
+    @cached_property
+    def bias(self) -> GyroBias | None:
+        """Mean bias of its gyroscope; None for a log without a true attitude."""
+        if self.unscorable:
+            return None
+        return bias_by_truth(self.flights.gyro[0], self.flights.quat[0], self.flights.rate_hz)
 
     @property
     def counted_s(self) -> float:
@@ -80,12 +87,6 @@ class ScoredLog:
         """How honest the interval of an estimator with beliefs is where the truth counts."""
         return self.beliefs[name].interval(self.truth[None], self.counted[None])
 
-    def honesty(self, name: str) -> str:
-        """The same in words; without a true attitude the size of its σ alone."""
-        if self.comparison is None:
-            return self.interval(name).text
-        return f"its σ is {self.beliefs[name].sigma_deg:.1f}° in the median"
-
 
 @dataclass
 class LogScores(Evaluation):
@@ -97,21 +98,23 @@ class LogScores(Evaluation):
 
     def mean(self, estimator: str, bias: str) -> float:
         """Mean over the logs of the headline of the inclination RMSE [deg]."""
-        return float(self._errors(bias)["inclination_rmse_deg"].to_dict().get(estimator, np.nan))
+        return float(self._means(self.on_logs(bias)).get(estimator, np.nan))
 
     def silenced(self, estimator: str) -> float:
         """The same of the network silenced, raw; NaN for others [deg]."""
-        return float(self._errors(RAW)["silenced_inclination_deg"].to_dict().get(estimator, np.nan))
+        return float(self._means(self.on_logs(column="silenced_inclination_deg")).get(estimator, np.nan))
 
-    def _errors(self, bias: str) -> pd.DataFrame:
-        chosen = self.table.loc[(self.table.bias == bias) & self.table.log.isin(self.headline)]
-        columns = ["inclination_rmse_deg", "silenced_inclination_deg"]
-        return pd.DataFrame(chosen.groupby("estimator")[columns].mean())
+    def means(self, estimator: str) -> tuple[float, float, float]:
+        """Mean errors with the gyroscope as it reads, without its bias, and of the network silenced [deg]."""
+        return self.mean(estimator, RAW), self.mean(estimator, KNOWN), self.silenced(estimator)
 
-    def on_logs(self, bias: str = RAW) -> pd.DataFrame:
+    def _means(self, on_logs: pd.DataFrame) -> dict[str, float]:
+        return on_logs[self.headline].mean(axis=1).to_dict()
+
+    def on_logs(self, bias: str = RAW, column: str = "inclination_rmse_deg") -> pd.DataFrame:
         """Inclination RMSE of estimators by log [deg]."""
         chosen = self.table.loc[self.table.bias == bias]
-        return chosen.pivot(index="estimator", columns="log", values="inclination_rmse_deg")
+        return chosen.pivot(index="estimator", columns="log", values=column)
 
     @property
     def scored(self) -> list[str]:
@@ -137,7 +140,7 @@ class LogScores(Evaluation):
     def estimators(self) -> list[str]:
         """Estimators, the smallest raw error first; those that are not ranked come last."""
         ran = [*self.table.estimator, *(name for log in self.logs.values() for name in log.estimates)]
-        error = self._errors(RAW)["inclination_rmse_deg"].fillna(np.inf)
+        error = {name: value for name, value in self._means(self.on_logs()).items() if value == value}
         return sorted(dict.fromkeys(ran), key=lambda name: (name in self.unranked, error.get(name, np.inf)))
 
     @property
@@ -178,25 +181,19 @@ def score_logs(
         ValueError: Unknown estimators, two logs of one name, or a log of which nothing can be scored; before
             anything is run. Where every estimator fails on every log, or on one without a true attitude.
     """
-    titles = [str(log.attrs["source"]) for log in logs]
-    if len(set(titles)) < len(titles):
-        raise ValueError(f"logs must differ in name: {', '.join(titles)}")
-    reasons = [unscorable(log, within_deg=within_deg, skip_s=skip_s) for log in logs]
-    for title, reason in zip(titles, reasons, strict=True):
-        if reason not in (None, NO_ATTITUDE):
-            raise ValueError(f"{title}: nothing to score: {reason}")
+    prepared = {str(log.attrs["source"]): _log(log, within_deg, skip_s) for log in logs}
+    if len(prepared) < len(logs):
+        raise ValueError(f"logs must differ in name: {', '.join(str(log.attrs['source']) for log in logs)}")
+    for title, one in prepared.items():
+        if one.unscorable not in ("", NO_ATTITUDE):
+            raise ValueError(f"{title}: nothing to score: {one.unscorable}")
     chosen, rows = estimators or default_names(), []
-    scores = LogScores()
-    for k, (title, log, blind) in enumerate(zip(titles, logs, reasons, strict=True)):
-        made = chosen
-        if not isinstance(made, Mapping):
-            made = made_of(made, float(log.attrs["rate_hz"]))
-        scores.logs[title] = one = _log(log, within_deg, skip_s, bool(blind))
-        if not one.counted.any():
-            raise ValueError(f"{title}: nothing to compare: it has no readings after the first {skip_s:g} s")
+    scores = LogScores(logs=prepared)
+    for k, (title, one) in enumerate(prepared.items()):
+        made = chosen if isinstance(chosen, Mapping) else made_of(chosen, one.flights.rate_hz)
         level = errors_of(np.zeros_like(one.flights.truth), one.flights.truth)
         level |= {"estimator": LEVEL, "reference": False, "flaw": ""}
-        own = [] if blind else [level | {"bias": which} for which in (RAW, KNOWN)]
+        own = [] if one.unscorable else [level | {"bias": which} for which in (RAW, KNOWN)]
         for done, (name, est) in enumerate(made.items(), k * len(made)):
             progress(done, len(logs) * len(made), name)
             own += _rows(name, est, one)
@@ -205,7 +202,7 @@ def score_logs(
                 "%s: %d of %d samples are missing or beyond any sensor's range; estimators go on from their "
                 "prediction", title, missing, len(one.counted),
             )  # fmt: skip
-        if blind:
+        if one.unscorable:
             one.comparison = _comparison(title, one, {row["estimator"]: row["flaw"] for row in own})
         else:
             faults = "; ".join(fault.name for fault in one.faults)
@@ -218,20 +215,15 @@ def score_logs(
     return scores
 
 
-def unscorable(log: xr.Dataset, *, within_deg: float = 45.0, skip_s: float = SKIP_S) -> str | None:
-    """Why no sample of a log can be scored; None where some can.
+def unscorable(log: xr.Dataset, *, within_deg: float = 45.0, skip_s: float = SKIP_S) -> str:
+    """Why no sample of a log can be scored; empty where some can.
 
     Args:
         log: From `quadsim.logs.read_log`.
         within_deg: Largest true inclination that is scored [deg].
         skip_s: Time at the start that is not scored [s].
     """
-    counted = np.ones(log.sizes["time"], bool)
-    for reason, holds in _conditions(log, load_flights([log]), within_deg, skip_s).items():
-        counted &= holds
-        if not counted.any():
-            return reason
-    return None
+    return _log(log, within_deg, skip_s).unscorable
 
 
 def default_names(vehicle_known: bool = False) -> list[str]:
@@ -243,59 +235,53 @@ def default_names(vehicle_known: bool = False) -> list[str]:
     ]
 
 
-def _log(log: xr.Dataset, within_deg: float, skip_s: float, blind: bool) -> ScoredLog:
-    """A log before anything is run; where it is blind, the gyroscope's turns stand in for the truth."""
+def _log(log: xr.Dataset, within_deg: float, skip_s: float) -> ScoredLog:
+    """A log before anything is run; without an attitude the gyroscope's turns stand in for the truth."""
     flights = load_flights([log])
-    started, _, readings, *_ = conditions = list(_conditions(log, flights, within_deg, skip_s).values())
-    counted = started & readings if blind else np.logical_and.reduce(conditions)
-    shown = motion(flights.gyro[0], flights.rate_hz)[None] if blind else flights.truth
-    masked = replace(flights, truth=np.where(counted[None, :, None], shown, np.nan))
-    faults = log.attrs["log"].sensor_faults if "log" in log.attrs else ()
-    bias = None if blind else bias_by_truth(flights.gyro[0], flights.quat[0], flights.rate_hz)
-    return ScoredLog(masked, flights.truth[0], counted, faults, bias)
-
-
-def _conditions(
-    log: xr.Dataset, flights: Flights, within_deg: float, skip_s: float
-) -> dict[str, NDArray[np.bool_]]:
-    """What a log lacks where a condition never holds, and the samples (T,) at which it holds."""
     truth, readings = flights.truth[0], np.isfinite(flights.gyro[0] + flights.accel[0]).all(axis=1)
-    tilt = np.nan_to_num(inclination_error(truth, np.zeros_like(truth)), nan=np.inf)
-    scored = log["scored"].to_numpy()[0] if "scored" in log else np.ones(len(truth), bool)
     started = log["time"].to_numpy() >= skip_s
-    return {
+    tilt = np.nan_to_num(inclination_error(truth, np.zeros_like(truth)), nan=np.inf)
+    counted, unscorable = np.ones(len(truth), bool), ""
+    for lacking, holds in {
         f"nothing is known after the first {skip_s:g} s, which are not scored": started,
         NO_ATTITUDE: np.isfinite(truth).all(axis=1),
         "gyroscope and accelerometer are missing where the attitude is known": readings,
-        "it marks no such sample for scoring": scored,
+        "it marks no such sample for scoring": log["scored"].to_numpy()[0],
         f"it is tilted by more than {within_deg:g}° all the time (--within)": tilt <= within_deg,
-    }
+    }.items():
+        counted = counted & holds
+        unscorable = unscorable or ("" if counted.any() else lacking)
+    shown = truth
+    if unscorable == NO_ATTITUDE:
+        counted, shown = started & readings, motion(flights.gyro[0], flights.rate_hz)
+        if not counted.any():
+            unscorable = f"it has neither attitude nor readings after the first {skip_s:g} s"
+    masked = replace(flights, truth=np.where(counted[:, None], shown, np.nan)[None])
+    return ScoredLog(masked, truth, counted, log.attrs["log"].sensor_faults, unscorable)
 
 
 def _rows(name: str, est: AttitudeEstimator, log: ScoredLog) -> list[dict[str, Any]]:
     """Run an estimator on a log; the estimate by the raw gyroscope, and its beliefs, go to the log."""
-    flights, rows = log.flights, []
+    flights, rows, offsets = log.flights, [], {RAW: np.zeros(3)}
     if log.bias is None and receives_truth(est):
         refused = ValueError("the log has no true attitude")
         return [failed(name, est, refused) | {"bias": RAW, "flaw": "receives the true attitude"}]
-    offsets = {RAW: np.zeros(3)} | ({} if log.bias is None else {KNOWN: log.bias.significant})
+    if log.bias is not None and np.isfinite(log.bias.mean).all():
+        offsets[KNOWN] = log.bias.significant
     for bias, offset in offsets.items():
-        if not np.isfinite(offset).all():
-            rows.append({"estimator": name, "reference": receives_truth(est), "flaw": "", "scored_s": 0.0})
-            continue
         readings = flights.readings._replace(gyro=flights.gyro - offset)
         silence = bias == RAW and log.bias is not None
         try:
             estimate, row = assessed(name, est, replace(flights, readings=readings), silence=silence)
         except ValueError as error:
-            row = failed(name, est, error) | {"scored_s": 0.0}
-        else:
-            if bias == RAW:
-                log.estimates[name] = estimate[0]
-                believed = beliefs(est, flights.gyro, flights.accel, **flights.readings.others)
-                log.beliefs |= {} if believed is None else {name: believed}
-        rows.append(row)
-    return [row | {"bias": bias} for row, bias in zip(rows, offsets, strict=True)]
+            rows.append(failed(name, est, error) | {"scored_s": 0.0, "bias": bias})
+            continue
+        rows.append(row | {"bias": bias})
+        if bias == RAW:
+            log.estimates[name] = estimate[0]
+            if believed := beliefs(est, flights.gyro, flights.accel, **flights.readings.others):
+                log.beliefs[name] = believed
+    return rows
 
 
 def _comparison(title: str, log: ScoredLog, flaws: Mapping[str, str]) -> Comparison:

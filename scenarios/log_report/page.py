@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.appearance import looks
-from estimators.evaluation.logs import KNOWN, LEVEL, RAW, LogScores, ScoredLog
+from estimators.evaluation.logs import LEVEL, LogScores, ScoredLog
+from estimators.evaluation.without_truth import Comparison
 from estimators.metrics import inclination_error
 from quadsim.dataset.stretches import stretches
 from quadsim.runs.files import write_whole
@@ -45,14 +46,19 @@ def write_log_report(path: Path, scores: LogScores, warnings: Sequence[str] = ()
         scores: From `score_logs`.
         warnings: Lines about the logs, shown below the verdict.
     """
-    every = {name: max(1, math.ceil(len(log.truth) / MOST_SAMPLES)) for name, log in scores.logs.items()}
-    series = {name: _series(log, every[name]) for name, log in scores.logs.items()}
+    series, about = {}, {}
+    for name, log in scores.logs.items():
+        every = math.ceil(len(log.truth) / MOST_SAMPLES)
+        channels = {each: pack_channel(values[::every]) for each, values in _traces(log)}
+        series[name] = FlightSeries(every / log.flights.rate_hz, channels)
+        about[name] = described(series[name]) | _about(log, every)
     names = [name for name in scores.estimators if name != LEVEL]
+    on_log = scores.on_logs()
     data = {
         "estimators": sorted(names),
         "looks": {name: look._asdict() for name, look in looks(names).items()},
         "shown": names[:SHOWN],
-        "logs": {n: described(series[n]) | _about(log, every[n]) for n, log in scores.logs.items()},
+        "logs": about,
     }
     page = render(
         "log_report/log.html",
@@ -61,10 +67,14 @@ def write_log_report(path: Path, scores: LogScores, warnings: Sequence[str] = ()
         verdict=log_verdict(scores),
         warnings=warnings,
         logs=list(scores.logs),
-        rows=_table(scores),
+        rows=[
+            {"estimator": name, "values": [*scores.means(name), *on_log.loc[name, scores.scored]]}
+            for name in scores.estimators
+            if name in on_log.index
+        ],
         faulty=scores.faulty,
         scored=scores.scored,
-        compared=_compared(scores),
+        compared=[{"log": log} | _compared(found) for log, found in scores.compared.items()],
         **uplot(),
         script=script("log_report/js/log.js"),
         payload=json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"),
@@ -73,38 +83,14 @@ def write_log_report(path: Path, scores: LogScores, warnings: Sequence[str] = ()
     return write_whole(path.expanduser(), page)
 
 
-def _table(scores: LogScores) -> list[dict[str, object]]:
-    """A row for each estimator: means over the logs, and the raw error on each log [deg]."""
-    on_log = scores.on_logs()
-    return [
-        {
-            "estimator": name,
-            "means": [scores.mean(name, RAW), scores.mean(name, KNOWN), scores.silenced(name)],
-            "logs": [float(on_log.at[name, log]) for log in scores.scored],
-        }
-        for name in scores.estimators
-        if name in on_log.index
+def _compared(found: Comparison) -> dict[str, object]:
+    """Of a log without truth: a row for each estimator, its force and its difference from every other."""
+    both = dict(found.apart) | {(b, a): apart for (a, b), apart in found.apart.items()}
+    names = sorted(found.force, key=lambda name: found.force[name])
+    rows = [
+        {"estimator": a, "force": found.force[a], "apart": [both.get((a, b)) for b in names]} for a in names
     ]
-
-
-def _compared(scores: LogScores) -> list[dict[str, object]]:
-    """Of each log without truth: a row for each estimator, its force and its difference from every other."""
-    tables = []
-    for log, found in scores.compared.items():
-        both = dict(found.apart) | {(b, a): apart for (a, b), apart in found.apart.items()}
-        names = sorted(found.force, key=lambda name: found.force[name])
-        rows = [
-            {"estimator": a, "force": found.force[a], "apart": [both.get((a, b)) for b in names]}
-            for a in names
-        ]
-        tables.append({"log": log, "names": names, "rows": rows})
-    return tables
-
-
-def _series(log: ScoredLog, every: int) -> FlightSeries:
-    """What is drawn of a log, one sample of `every`."""
-    channels = {name: pack_channel(values[::every]) for name, values in _traces(log)}
-    return FlightSeries(every / log.flights.rate_hz, channels)
+    return {"names": names, "rows": rows}
 
 
 def _about(log: ScoredLog, every: int) -> dict[str, object]:
