@@ -6,15 +6,14 @@ type, a stamp (version 1: uint32 [ms], version 2: uint64 [µs]) and the values; 
 """
 
 import struct
-from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 from zlib import crc32
 
 import numpy as np
 
 from ..cleaning import GAP
-from ..recording import OWN_ESTIMATE, Array, Recording, Track
+from ..recording import OWN_ESTIMATE, Recording, Track
 from ..resample import interpolated
 
 MAGIC = 0xBC
@@ -30,14 +29,13 @@ TRUTHS = {
 """Groups that hold an attitude qw, qx, qy, qz (FLU body in a world with z up), the best first."""
 
 
-@dataclass
-class Event:
-    """One type of event, and what was logged of it."""
+class Event(NamedTuple):
+    """One type of event, and what was logged of it: a stamp and the values in each row."""
 
-    names: tuple[str, ...]
+    name: str
+    variables: list[str]
     layout: struct.Struct
-    stamps: list[int] = field(default_factory=list)
-    rows: list[tuple[float, ...]] = field(default_factory=list)
+    rows: list[tuple[float, ...]]
 
 
 def is_usdlog(path: Path) -> bool:
@@ -58,25 +56,22 @@ def read_usdlog(path: Path) -> Recording:
     Raises:
         ValueError: Not such a log, an unknown version, a damaged header, or no gyroscope and accelerometer.
     """
-    tracks, notes = decode(path)
-    imu = _track(tracks, GYRO + ACCEL)
-    gyro, accel = _track(tracks, GYRO), _track(tracks, ACCEL)
+    events, notes = decode(path)
+    imu = _track(events, GYRO + ACCEL)
+    gyro, accel = _track(events, GYRO), _track(events, ACCEL)
     if imu is None and gyro is not None and accel is not None:
         both = (gyro.time >= accel.time[0]) & (gyro.time <= accel.time[-1])
         if not both.any():
             raise ValueError(f"{path}: gyroscope and accelerometer were logged at different times")
-        time = gyro.time[both]
-        longest_s = GAP * float(np.median(np.diff(accel.time)))
+        time, longest_s = gyro.time[both], GAP * float(np.median(np.diff(accel.time)))
         imu = Track(time, np.hstack([gyro.values[both], interpolated(time, *accel, longest_s)]))
-        events = " and ".join(next(n for n, v in tracks.items() if s[0] in v) for s in (GYRO, ACCEL))
-        notes = (*notes, f"{events}: accelerometer brought to the stamps of the gyroscope")
+        names = " and ".join(next(e.name for e in events if s[0] in e.variables) for s in (GYRO, ACCEL))
+        notes = (*notes, f"{names}: accelerometer brought to the stamps of the gyroscope")
     if imu is None:
-        names = sorted({name for values in tracks.values() for name in values if name != "time"})
-        raise ValueError(
-            f"{path}: no event has all of {', '.join(GYRO + ACCEL)}; logged: {', '.join(names) or 'nothing'}"
-        )
+        logged = ", ".join(sorted({name for event in events for name in event.variables})) or "nothing"
+        raise ValueError(f"{path}: no event has all of {', '.join(GYRO + ACCEL)}; logged: {logged}")
     sensors = {}
-    if (rotors := _track(tracks, ROTORS)) is not None:
+    if (rotors := _track(events, ROTORS)) is not None:
         sensors["rotor_vel"] = Track(rotors.time, np.abs(rotors.values) * (np.pi / 30))
         notes = (*notes, "rotor_vel from the log")
     log = Recording(
@@ -85,8 +80,8 @@ def read_usdlog(path: Path) -> Recording:
     )  # fmt: skip
     for group, kind in TRUTHS.items():
         orientation = tuple(f"{group}.{name}" for name in ("qw", "qx", "qy", "qz"))
-        pose = _track(tracks, orientation + tuple(f"{group}.{name}" for name in "xyz"))
-        found = pose or _track(tracks, orientation)
+        pose = _track(events, orientation + tuple(f"{group}.{name}" for name in "xyz"))
+        found = pose or _track(events, orientation)
         if found is not None:
             position = None if pose is None else pose.values[:, 4:]
             own = group == "stateEstimate"
@@ -94,8 +89,8 @@ def read_usdlog(path: Path) -> Recording:
     return log
 
 
-def decode(path: Path) -> tuple[dict[str, dict[str, Array]], tuple[str, ...]]:
-    """Name of an event to its variables (K,) and its `time` (K,) [s], and what is wrong with the file.
+def decode(path: Path) -> tuple[list[Event], tuple[str, ...]]:
+    """Events of which something was logged, and what is wrong with the file.
 
     Raises:
         ValueError: Not such a log, an unknown version, or a damaged header.
@@ -107,7 +102,7 @@ def decode(path: Path) -> tuple[dict[str, dict[str, Array]], tuple[str, ...]]:
     if version not in STAMPS:
         raise ValueError(f"{path}: version {version} of the uSD log; 1 and 2 can be read")
     try:
-        names, events, at = _header(data, count)
+        events, at = _header(data, count)
     except (struct.error, ValueError) as error:
         raise ValueError(f"{path}: the header of the uSD log is cut off or damaged") from error
     whole = len(data) - 4 > at and crc32(data[:-4]) == int.from_bytes(data[-4:], "little")
@@ -118,37 +113,29 @@ def decode(path: Path) -> tuple[dict[str, dict[str, Array]], tuple[str, ...]]:
         event = events.get(number)
         if event is None or at + head.size + event.layout.size > end:
             break
-        event.stamps.append(stamp)
-        event.rows.append(event.layout.unpack_from(data, at + head.size))
+        event.rows.append((stamp * unit, *event.layout.unpack_from(data, at + head.size)))
         at += head.size + event.layout.size
-    tracks = {
-        names[number]: dict(zip(event.names, np.array(event.rows, np.float64).T, strict=True))
-        | {"time": np.array(event.stamps, np.float64) * unit}
-        for number, event in events.items()
-        if event.rows
-    }
-    if whole and at == end:
-        return tracks, ()
-    return tracks, (f"damaged: bad checksum, read up to byte {at} of {len(data)}",)
+    damage = f"damaged: bad checksum, read up to byte {at} of {len(data)}"
+    return [event for event in events.values() if event.rows], () if whole and at == end else (damage,)
 
 
-def _header(data: bytes, count: int) -> tuple[dict[int, str], dict[int, Event], int]:
-    """Names and types of the events by their number, and where the first event begins."""
-    names, events, at = {}, {}, 5
+def _header(data: bytes, count: int) -> tuple[dict[int, Event], int]:
+    """Types of events by their number, and where the first event begins."""
+    events, at = {}, 5
     for _ in range(count):
         (number,) = struct.unpack_from("<H", data, at)
-        names[number], at = _text(data, at + 2)
+        name, at = _text(data, at + 2)
         (size,) = struct.unpack_from("<H", data, at)
         at += 2
-        variables = []
+        variables, codes = [], "<"
         for _ in range(size):
             text, at = _text(data, at)
             if len(text) < 4 or text[-3] != "(" or text[-2] not in "bBhHiIqQefd":
                 raise ValueError(text)
-            variables.append((text[:-3], text[-2]))
-        layout = struct.Struct("<" + "".join(code for _, code in variables))
-        events[number] = Event(tuple(name for name, _ in variables), layout)
-    return names, events, at
+            variables.append(text[:-3])
+            codes += text[-2]
+        events[number] = Event(name, variables, struct.Struct(codes), [])
+    return events, at
 
 
 def _text(data: bytes, at: int) -> tuple[str, int]:
@@ -159,10 +146,11 @@ def _text(data: bytes, at: int) -> tuple[str, int]:
     return text, end + 1
 
 
-def _track(tracks: Mapping[str, Mapping[str, Array]], names: tuple[str, ...]) -> Track | None:
+def _track(events: list[Event], names: tuple[str, ...]) -> Track | None:
     """Variables of the event that logged all of them most often."""
-    found = [values for values in tracks.values() if all(name in values for name in names)]
+    found = [event for event in events if set(names) <= set(event.variables)]
     if not found:
         return None
-    best = max(found, key=lambda values: values["time"].size)
-    return Track(best["time"], np.stack([best[name] for name in names], axis=1))
+    best = max(found, key=lambda event: len(event.rows))
+    values = np.array(best.rows, np.float64)
+    return Track(values[:, 0], values[:, [1 + best.variables.index(name) for name in names]])
