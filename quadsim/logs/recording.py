@@ -121,40 +121,29 @@ def mount_matrix(mount: str) -> Array:
         ValueError: None of these, or no rotation.
     """
     words = mount.replace(",", " ").split()
-    if words and all(word.lstrip("+-") in ("x", "y", "z") for word in words):
-        axes = {sign + axis: row for axis, one in zip("xyz", np.eye(3), strict=True)
-                for sign, row in (("", one), ("+", one), ("-", -one))}  # fmt: skip
-        matrix = np.array([axes[word] for word in words])
-        if matrix.shape != (3, 3) or abs(np.linalg.det(matrix)) < 0.5:
-            raise ValueError(f'mount "{mount}": three different axes are required, for example "z,-y,x"')
-        return _rotation(matrix, mount)
+    signed = ["x", "y", "z", "-x", "-y", "-z"]
+    axes: dict[str, Array] = dict(zip(signed, np.vstack([np.eye(3), -np.eye(3)]), strict=True))
     is_euler = words[:1] == ["rpy"]
     try:
-        numbers = np.array([float(word) for word in words[is_euler:]])
+        if words and all(word.lstrip("+") in axes for word in words):
+            numbers = np.concatenate([axes[word.lstrip("+")] for word in words])
+        else:
+            numbers = np.array([float(word) for word in words[is_euler:]])
     except ValueError:
-        raise ValueError(f'mount "{mount}": should be {FORMS}') from None
-    if is_euler:
-        if len(numbers) != 3 or not np.isfinite(numbers).all():
-            raise ValueError(f'mount "{mount}": rpy takes roll, pitch and yaw, such as "rpy 0 20 90"')
+        numbers = np.empty(0)
+    if is_euler and len(numbers) == 3 and np.isfinite(numbers).all():
         return matrix_from_quat(quat_from_euler(*np.radians(numbers)))
+    if is_euler or numbers.size not in (4, 9):
+        raise ValueError(f'mount "{mount}": should be {FORMS}')
     if numbers.size == 4:
         length = float(np.linalg.norm(numbers))
         if not abs(length - 1.0) <= TOLERANCE:
             raise ValueError(f"mount {mount}: a quaternion of length {length:.3g}, and a rotation's is 1")
         return matrix_from_quat(numbers / length)
-    if numbers.size != 9:
-        raise ValueError(f'mount "{mount}": {numbers.size} numbers; should be {FORMS}')
-    return _rotation(numbers.reshape(3, 3), mount)
-
-
-def _rotation(matrix: Array, mount: str) -> Array:
-    """The rotation next to a matrix of rounded numbers."""
+    matrix = numbers.reshape(3, 3)
     error = np.abs(matrix @ matrix.T - np.eye(3)).max() if np.isfinite(matrix).all() else np.inf
-    if error > TOLERANCE:
-        text = f"no rotation: matrix times its transpose is off the identity by {error:.2g}"
-        raise ValueError(f"mount {mount}: {text}")
-    if np.linalg.det(matrix) < 0:
-        raise ValueError(f"mount {mount}: a mirror image, not a rotation: turn one sign")
+    if error > TOLERANCE or np.linalg.det(matrix) < 0:
+        raise ValueError(f"mount {mount}: no rotation: its rows are not three orthogonal axes, right-handed")
     return matrix if error == 0.0 else np.asarray(Rotation.from_matrix(matrix).as_matrix())
 
 

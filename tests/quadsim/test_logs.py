@@ -728,7 +728,9 @@ def test_repeated_and_backward_stamps_are_left_out_and_rows_out_of_order_are_ref
     assert report_of(with_stamps(absent)).missing == 40
     with pytest.raises(ValueError, match=r"^x: 0 usable samples; at least 8 are required$"):
         resample(with_stamps(np.full(time.size, np.nan)))
-    with pytest.raises(ValueError, match=r"^x: 1 usable samples whose stamps go forward; at least 8 are required$"):
+    with pytest.raises(
+        ValueError, match=r"^x: 1 usable samples whose stamps go forward; at least 8 are required$"
+    ):
         resample(with_stamps(np.zeros(time.size)))
 
 
