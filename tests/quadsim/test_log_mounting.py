@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from reported import reported
 from scipy.spatial.transform import Rotation
-from sensor import GRAVITY, readings
+from sensor import GRAVITY, readings, turned, write_csv
 from typer.testing import CliRunner
 
 from quadsim.cli import app
@@ -85,15 +85,6 @@ def test_what_is_no_rotation_is_one_line(mount, message):
         mount_matrix(mount)
 
 
-COLUMNS = 'file = "x.csv"\n'
-TABLES = """
-time = {column = "t"}
-gyro = {columns = ["p", "q", "r"]}
-accel = {columns = ["x", "y", "z"]}
-quat = {columns = ["a", "b", "c", "d"]}
-"""
-
-
 def tilting(seconds: float = 10.0) -> tuple[np.ndarray, ...]:
     """Time, body rates, specific force and attitude of a body that rolls, pitches and yaws about hover."""
     time = np.arange(round(seconds * 200)) / 200
@@ -120,19 +111,18 @@ def test_a_mount_rotates_the_attitude_only_where_it_is_the_imus(truth_axes):
 )
 def test_a_column_map_takes_any_mount(tmp_path, written):
     time, gyro, accel, quat = tilting(2.0)
-    rows = np.column_stack([time, gyro @ BODY_FROM_IMU, accel @ BODY_FROM_IMU, quat])
-    np.savetxt(tmp_path / "x.csv", rows, "%.12g", delimiter=",", header="t,p,q,r,x,y,z,a,b,c,d", comments="")
-    (tmp_path / "x.toml").write_text(COLUMNS + ("" if written is None else f'mount = "{written}"\n') + TABLES)
-    log = read_recording(tmp_path / "x.toml", mount="rpy 10 -20 130" if written is None else None)
+    log = Recording("x", "x", time, gyro @ BODY_FROM_IMU, accel @ BODY_FROM_IMU, quat=quat)
+    path = write_csv(tmp_path, log, "" if written is None else f'mount = "{written}"')
+    log = read_recording(path, mount="rpy 10 -20 130" if written is None else None)
     np.testing.assert_allclose(log.gyro, gyro, atol=1e-7)
     np.testing.assert_allclose(log.accel, accel, atol=1e-7)
     np.testing.assert_allclose(log.quat, quat, atol=1e-9)
 
 
 def test_a_column_map_whose_mount_is_no_rotation_is_one_line(tmp_path):
-    (tmp_path / "x.toml").write_text(f'{COLUMNS}mount = "z,y,x"\n{TABLES}')
+    path = write_csv(tmp_path, turned(2.0), 'mount = "z,y,x"')
     with pytest.raises(ValueError, match="no rotation"):
-        read_recording(tmp_path / "x.toml")
+        read_recording(path)
 
 
 # --- estimates of a mounting ------------------------------------------------------------------------
@@ -202,19 +192,11 @@ def test_a_log_that_turns_about_one_axis_alone_gives_no_mounting():
         estimate(still)
 
 
-def write_csv(folder, log: Recording) -> str:
-    """A CSV of a recording with its column map, and the path of that."""
-    rows = np.column_stack([log.time, log.gyro, log.accel, log.quat])
-    np.savetxt(folder / "x.csv", rows, "%.9g", delimiter=",", header="t,p,q,r,x,y,z,a,b,c,d", comments="")
-    (folder / "x.toml").write_text(f'{COLUMNS}truth_axes = "{log.truth_axes}"\n{TABLES}')
-    return str(folder / "x.toml")
-
-
 @pytest.mark.parametrize("truth_axes", ["body", "imu"])
 def test_the_command_that_a_tilted_log_names_prints_the_mount_that_mends_it(
     tmp_path, make_flights, truth_axes
 ):
-    path = write_csv(tmp_path, recorded(make_flights, truth_axes, late_s=0.0))
+    path = write_csv(tmp_path, recorded(make_flights, truth_axes, late_s=0.0), f'truth_axes = "{truth_axes}"')
     odd = reported(path)[1].warnings
     assert any(f"quadsim report {path} --find-mount best" in line for line in odd)
     printed = CliRunner().invoke(app, ["report", path, "--find-mount", "best"], catch_exceptions=False).output
@@ -229,7 +211,7 @@ def test_the_command_that_a_tilted_log_names_prints_the_mount_that_mends_it(
 def test_a_log_that_is_far_from_level_names_its_mount_and_the_command(tmp_path, make_flights, truth_axes):
     flight = recorded(make_flights, "imu", noise=0.0, late_s=0.0)
     upright = mounted(flight, mount_matrix("rpy 10 -20 130"))
-    path = write_csv(tmp_path, mounted(upright, mount_matrix("rpy 0 -90 0")))
+    path = write_csv(tmp_path, mounted(upright, mount_matrix("rpy 0 -90 0")), 'truth_axes = "imu"')
     if truth_axes == "none":
         table = tmp_path / "x.toml"
         table.write_text("".join(x for x in table.read_text().splitlines(True) if not x.startswith("quat")))
@@ -244,7 +226,7 @@ def test_a_log_that_is_far_from_level_names_its_mount_and_the_command(tmp_path, 
 
 
 def test_evaluate_says_that_a_log_is_tilted_before_its_table(tmp_path, make_flights):
-    path = write_csv(tmp_path, recorded(make_flights, "imu"))
+    path = write_csv(tmp_path, recorded(make_flights, "imu"), 'truth_axes = "imu"')
     command = ["evaluate", "--logs", path, "--estimator", "mahony", "--out", str(tmp_path / "out")]
     printed = CliRunner().invoke(app, command, catch_exceptions=False).output
     assert f"`quadsim report {path} --find-mount best` estimates" in printed

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from reported import reported
-from sensor import GRAVITY, RATE, readings, report_of, turning
+from sensor import GRAVITY, RATE, blind, readings, report_of, turned, turning, write_csv
 from typer.testing import CliRunner
 from ulog_file import write_ulog
 
@@ -360,6 +360,8 @@ def test_odd_stamps_at_rest_are_left_out_and_bad_logs_are_one_line():
     np.testing.assert_allclose(found.gyro.bias, log.gyro.mean(axis=0), atol=3e-4)
     with pytest.raises(ValueError, match="no noise to measure"):
         calibrate(replace(log, accel=np.tile(GRAVITY, (log.time.size, 1))))
+    with pytest.raises(ValueError, match=r"at rest it reads a specific force of 0\.98\d* m/s²"):
+        calibrate(replace(log, accel=log.accel / 9.81))
 
 
 def test_the_command_prints_the_bias_and_writes_an_imu(tmp_path):
@@ -463,11 +465,10 @@ def test_a_noisy_truth_at_rest_is_not_judged():
 
 
 def wrong(name: str) -> Recording:
-    """A minute of a sensor that turns, and one thing wrong with the log of it."""
-    time, gyro, accel, quat = turning(seconds=20.0)
-    upside = np.array([1.0, -1.0, -1.0])
+    """A sensor that turns, and one thing wrong with the log of it."""
+    log, upside = turned(), np.array([1.0, -1.0, -1.0])
+    time, gyro, accel, quat = log.time, log.gyro, log.accel, log.quat
     changed = {
-        "nothing": {},
         "deg/s": {"gyro": np.degrees(gyro)},
         "rad/s as deg/s": {"gyro": np.radians(gyro)},
         "ten times the rate": {"gyro": 10 * gyro},
@@ -483,9 +484,8 @@ def wrong(name: str) -> Recording:
         "sign of z": {"gyro": gyro * [1.0, 1.0, -1.0]},
         "upright": {"gyro": gyro[:, [2, 1, 0]] * [1, -1, 1], "accel": accel[:, [2, 1, 0]] * [1, -1, 1]},
         "axes": {"gyro": gyro[:, [1, 2, 0]], "accel": accel[:, [1, 2, 0]]},
-    }[name]
-    fields = {"time": time, "gyro": gyro, "accel": accel, "truth_time": time, "quat": quat}
-    return Recording("x", "test", truth="truth", **(fields | changed))
+    }
+    return replace(log, **changed[name])
 
 
 @pytest.mark.parametrize(
@@ -508,7 +508,6 @@ def wrong(name: str) -> Recording:
     ],
 )
 def test_units_norms_and_frames_that_cannot_be_right_are_said(name, said):
-    assert report_of(wrong("nothing")).faults == []
     report = report_of(wrong(name))
     assert any(said in fault for fault in report.faults)
     assert report.faults[0] in report.warnings
@@ -524,13 +523,15 @@ def test_units_norms_and_frames_that_cannot_be_right_are_said(name, said):
     ],
 )
 def test_without_truth_the_length_and_direction_of_the_force_are_looked_at(name, said):
-    log = replace(wrong(name), truth="none", truth_time=None, quat=None)
-    assert said in report_of(log).faults[0]
-    assert report_of(replace(wrong("nothing"), truth="none", truth_time=None, quat=None)).faults == []
+    assert said in report_of(blind(wrong(name))).faults[0]
+
+
+def test_a_log_in_which_nothing_is_wrong_has_no_faults():
+    assert report_of(turned()).faults == report_of(blind(turned())).faults == []
 
 
 def test_noise_of_the_truth_hides_no_wrong_unit_and_makes_none():
-    log = wrong("nothing")
+    log = turned()
     noisy = replace(log, quat=shaken(log.quat, 0.024))
     report = report_of(noisy)
     assert report.aligned.slope < 0.78  # by the truth's noise alone
@@ -564,15 +565,8 @@ def test_a_steady_banked_turn_is_not_taken_for_rest(bank_deg):
     assert report_of(Recording("x", "test", time, rate + noise, force)).faults == []
 
 
-def test_a_log_that_cannot_be_right_is_scored_by_force_alone(tmp_path, monkeypatch):
-    time, gyro, accel, quat = turning(seconds=20.0)
-    rows = np.column_stack([time, np.degrees(gyro), accel, quat])
-    np.savetxt(tmp_path / "x.csv", rows, delimiter=",", header="t,p,q,r,x,y,z,qw,qx,qy,qz", comments="")
-    (tmp_path / "x.toml").write_text(
-        'file = "x.csv"\ntime = {column = "t"}\ngyro = {columns = ["p", "q", "r"]}\n'
-        'accel = {columns = ["x", "y", "z"]}\nquat = {columns = ["qw", "qx", "qy", "qz"]}\n'
-    )
-    log, out = str(tmp_path / "x.toml"), str(tmp_path / "out")
+def test_a_log_that_cannot_be_right_is_scored_by_force_alone(tmp_path):
+    log, out = write_csv(tmp_path, wrong("deg/s")), str(tmp_path / "out")
     for command in (
         ["evaluate", "--logs", log, "--estimator", "mahony", "--out", out],
         ["export", log, "--format", "zarr", "--piece", "5", "--out", f"{out}.zarr"],
@@ -584,7 +578,7 @@ def test_a_log_that_cannot_be_right_is_scored_by_force_alone(tmp_path, monkeypat
 
 @pytest.mark.parametrize(("sensor", "reading"), [("gyro", 1000.0), ("gyro", 1e30), ("accel", 1e30)])
 def test_a_spike_is_left_out_and_condemns_no_log(sensor, reading):
-    log = wrong("nothing")
+    log = turned()
     spoilt = getattr(log, sensor).copy()
     spoilt[900] = reading
     report = report_of(replace(log, **{sensor: spoilt}))
@@ -613,29 +607,16 @@ def test_a_damaged_ulog_that_the_library_reads_for_ever_is_refused(tmp_path):
         read_recording(path)
 
 
-def test_an_accelerometer_in_another_unit_is_not_calibrated():
-    rng, steps = np.random.default_rng(0), 20_000
-    still = Recording(
-        "x", "test", np.arange(steps) / 200, rng.normal(0, 1e-3, (steps, 3)),
-        np.array([0.0, 0.0, 1.0]) + rng.normal(0, 1e-3, (steps, 3)),
-    )  # fmt: skip
-    with pytest.raises(ValueError, match=r"at rest it reads a specific force of 1 m/s²"):
-        calibrate(still)
-
-
 @pytest.mark.parametrize(
     ("cell", "said"), [("abc", "row 3 of the numbers, column 2: 'abc'"), ("0;1", "delimiter")]
 )
 def test_a_cell_that_is_no_number_is_named(tmp_path, cell, said):
-    rows = [[f"{0.01 * k}", *["0"] * 6] for k in range(10)]
-    rows[2][1] = cell
-    (tmp_path / "x.csv").write_text("t,p,q,r,x,y,z\n" + "".join(",".join(row) + "\n" for row in rows))
-    (tmp_path / "x.toml").write_text(
-        'file = "x.csv"\ntime = {column = "t"}\ngyro = {columns = ["p", "q", "r"]}\n'
-        'accel = {columns = ["x", "y", "z"]}\n'
-    )
+    path, csv = write_csv(tmp_path, turned(0.1)), tmp_path / "x.csv"
+    rows = [line.split(",") for line in csv.read_text().splitlines()]
+    rows[3][1] = cell
+    csv.write_text("\n".join(map(",".join, rows)))
     with pytest.raises(ValueError, match=said):
-        read_recording(tmp_path / "x.toml")
+        read_recording(path)
 
 
 def test_real_recordings_agree_with_their_truth_and_raise_no_false_alarm(broad):
@@ -649,27 +630,23 @@ def test_real_recordings_agree_with_their_truth_and_raise_no_false_alarm(broad):
 
 
 def test_one_wrong_stamp_costs_one_sample():
-    time, gyro, accel, quat = turning(seconds=20.0)
     for jump in (1e6, -1e6, 1e18):
-        stamps = time.copy()
+        stamps = turned().time
         stamps[700] += jump
-        log = Recording("x", "test", stamps, gyro, accel, "truth", time, quat)
-        dataset, report = resample(log)
-        assert dataset.sizes["time"] == time.size
+        dataset, report = resample(turned(time=stamps))
+        assert dataset.sizes["time"] == stamps.size
         assert (report.gaps, report.lost) == (0, 1)
         consistent(dataset.isel(time=slice(100, 600)))
 
 
 def test_a_truth_of_another_time_is_no_truth():
-    time, gyro, accel, quat = turning(seconds=20.0)
-    log = Recording("x", "test", time, gyro, accel, "truth", time + 1e5, quat)
-    assert report_of(log).truth_share == 0.0
+    assert report_of(turned(truth_time=turned().time + 1e5)).truth_share == 0.0
 
 
-def test_long_gaps_split_a_log_and_every_part_is_converted(tmp_path):
-    time, gyro, accel, quat = turning(seconds=20.0)
+def test_long_gaps_split_a_log_and_every_part_is_converted():
+    time = turned().time
     stamps = time + np.where(time >= 12.0, 1e6, 0.0)
-    log = Recording("x", "test", stamps, gyro, accel, "truth", stamps, quat)
+    log = turned(time=stamps, truth_time=stamps)
     dataset, report = resample(log)
     assert report.parts == 2
     assert dataset.sizes["time"] == 2400
@@ -678,31 +655,21 @@ def test_long_gaps_split_a_log_and_every_part_is_converted(tmp_path):
 
 
 def test_a_log_with_hardly_a_sample_is_refused():
-    time, gyro, accel, _ = turning(seconds=20.0)
-    pairs = np.repeat(np.arange(time.size / 2), 2) * 20.0 + np.tile([0.0, 0.005], time.size // 2)
+    pairs = np.repeat(np.arange(2000), 2) * 20.0 + np.tile([0.0, 0.005], 2000)
     with pytest.raises(ValueError, match="most of the log is missing"):
-        resample(Recording("x", "test", pairs, gyro, accel))
+        resample(turned(time=pairs))
 
 
 def test_doublets_of_stamps_are_one_sample_each():
-    time, gyro, accel, quat = turning(seconds=20.0)
-    doublets = np.repeat(time, 2) + np.tile([0.0, 1e-9], time.size)
-    noise = np.tile([0.0, 1.0], time.size)[:, None]
-    log = Recording(
-        "x", "test", doublets, np.repeat(gyro, 2, 0) + noise, np.repeat(accel, 2, 0), "truth", time, quat
-    )
-    dataset, report = resample(log)
-    assert report.stamps_back == time.size
+    log = turned()
+    doublets = np.repeat(log.time, 2) + np.tile([0.0, 1e-9], 4000)
+    gyro = np.repeat(log.gyro, 2, 0) + np.tile([0.0, 1.0], 4000)[:, None]
+    dataset, report = resample(turned(time=doublets, gyro=gyro, accel=np.repeat(log.accel, 2, 0)))
+    assert report.stamps_back == 4000
     consistent(dataset)
 
 
 # --- what a recorder does to its samples -------------------------------------------------------------
-
-
-def with_stamps(time: np.ndarray, kept: np.ndarray | slice = slice(None)) -> Recording:
-    """The turning sensor with other stamps, or only some of its samples."""
-    log = wrong("nothing")
-    return replace(log, time=time[kept], gyro=log.gyro[kept], accel=log.accel[kept])
 
 
 @pytest.mark.parametrize(("rate_hz", "jitter_ms"), [(200.0, 2.0), (1000.0, 2.0)])
@@ -717,26 +684,27 @@ def test_jittering_stamps_are_no_gaps(rate_hz, jitter_ms):
 
 
 def test_repeated_and_backward_stamps_are_left_out_and_rows_out_of_order_are_refused():
-    time = wrong("nothing").time
-    repeated = time.copy()
-    repeated[1000:1010] = time[999]
-    assert report_of(with_stamps(repeated)).stamps_back == 10
-    shuffled = np.random.default_rng(0).permutation(time.size)
-    with pytest.raises(ValueError, match=r"^x: 51 % of the stamps go back: sort the rows by time$"):
-        resample(with_stamps(time, shuffled))
-    absent = np.where(np.arange(time.size) % 100 == 0, np.nan, time)
-    assert report_of(with_stamps(absent)).missing == 40
-    with pytest.raises(ValueError, match=r"^x: 0 usable samples; at least 8 are required$"):
-        resample(with_stamps(np.full(time.size, np.nan)))
-    with pytest.raises(
-        ValueError, match=r"^x: 1 usable samples whose stamps go forward; at least 8 are required$"
+    log = turned()
+    repeated = log.time.copy()
+    repeated[1000:1010] = log.time[999]
+    assert report_of(turned(time=repeated)).stamps_back == 10
+    absent = np.where(np.arange(4000) % 100 == 0, np.nan, log.time)
+    assert report_of(turned(time=absent)).missing == 40
+    for stamps, said in (
+        (
+            np.random.default_rng(0).permutation(log.time),
+            r"\d+ % of the stamps go back: sort the rows by time",
+        ),
+        (np.full(4000, np.nan), "0 usable samples; at least 8 are required"),
+        (np.zeros(4000), "1 usable samples whose stamps go forward; at least 8 are required"),
     ):
-        resample(with_stamps(np.zeros(time.size)))
+        with pytest.raises(ValueError, match=f"^x: {said}$"):
+            resample(turned(time=stamps))
 
 
 def noisy() -> Recording:
     """The turning sensor with the noise of a real one."""
-    log, rng = wrong("nothing"), np.random.default_rng(0)
+    log, rng = turned(), np.random.default_rng(0)
     gyro = log.gyro + rng.normal(0.0, 2e-3, log.gyro.shape)
     return replace(log, gyro=gyro, accel=log.accel + rng.normal(0.0, 0.02, log.accel.shape))
 
@@ -779,5 +747,5 @@ def test_a_coarse_sensor_at_rest_is_not_stuck():
 )
 def test_rates_of_no_imu_are_one_line_and_the_unit_of_the_stamps_is_named(rate_hz, hint):
     with pytest.raises(ValueError, match=hint or "samples a second; 40 to 10000 are allowed") as refused:
-        report_of(with_stamps(np.arange(4000) / rate_hz))
+        report_of(turned(time=np.arange(4000) / rate_hz))
     assert "\n" not in str(refused.value)

@@ -1,5 +1,7 @@
 """An ideal IMU that turns about one place: what it reads, and recordings of it."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from quadsim.logs.recording import Recording
@@ -32,6 +34,31 @@ def turning(rate_hz=RATE, seconds=4.0):
     return time, *readings(
         time, 0.3 + 0.2 * np.sin(2 * time), -0.1 + 0.3 * np.sin(3 * time), 0.5 + 0.4 * time
     )
+
+
+def turned(seconds=20.0, **changed) -> Recording:
+    """A recording of that sensor with a truth, and what is changed of it."""
+    time, gyro, accel, quat = turning(seconds=seconds)
+    return replace(Recording("x", "test", time, gyro, accel, "truth", time, quat), **changed)
+
+
+def blind(log: Recording) -> Recording:
+    """The recording without a truth."""
+    return replace(log, truth="none", truth_time=None, quat=None)
+
+
+def write_csv(folder, log: Recording, head="") -> str:
+    """Write a CSV of a recording and its column map, which begins as given; the path of that."""
+    rows = np.column_stack([log.time, log.gyro, log.accel, log.quat])
+    np.savetxt(folder / "x.csv", rows, "%.12g", delimiter=",", header="t,p,q,r,x,y,z,a,b,c,d", comments="")
+    (folder / "x.toml").write_text(f"""file = "x.csv"
+{head}
+time = {{column = "t"}}
+gyro = {{columns = ["p", "q", "r"]}}
+accel = {{columns = ["x", "y", "z"]}}
+quat = {{columns = ["a", "b", "c", "d"]}}
+""")
+    return str(folder / "x.toml")
 
 
 def report_of(log: Recording):
