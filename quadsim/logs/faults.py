@@ -10,7 +10,7 @@ from scipy.ndimage import median_filter, uniform_filter1d
 from ..dataset.stretches import blocks_of, stretches
 from .cleaning import MOVES, held, least_steps
 from .recording import Array
-from .truth import LONG_S, BiasOverTime, bias_over_time
+from .truth import LONG_S, bias_over_time
 
 FaultKind = Literal["bias jump", "stuck axis", "saturation", "vibration"]
 Sensor = Literal["gyroscope", "accelerometer"]
@@ -96,13 +96,14 @@ def find_faults(
         rate_hz: Even samples per second.
     """
     since = time - time[0]
-    saturated = list(saturations(since, readings, stuck))
-    found = [
-        *saturated,
-        *(fault for fault in stuck_axes(since, stuck) if not any(_within(fault, each) for each in saturated)),
-        *vibrations(since, readings[:, :3], readings[:, 3:]),
-        *bias_jumps(even_gyro, quat, rate_hz),
-    ]
+    found = list(saturations(since, readings, stuck))
+    clipped = {fault[1:3]: fault for fault in found}
+    for fault in stuck_axes(since, stuck):
+        over = clipped.get(fault[1:3])
+        if over is None or fault.start_s < over.start_s or fault.end_s > over.end_s:
+            found.append(fault)
+    found += vibrations(since, readings[:, :3], readings[:, 3:])
+    found += bias_jumps(even_gyro, quat, rate_hz)
     return tuple(sorted(found, key=lambda fault: fault.start_s))
 
 
@@ -114,9 +115,11 @@ def stuck_axes(time: Array, stuck: NDArray[np.bool_]) -> Iterator[SensorFault]:
             found[sensor, start, end] = found.get((sensor, start, end), "") + axis
     for (sensor, start, end), axes in found.items():
         ends = float(time[start]), float(time[end - 1])
-        text = f"the {sensor}'s {', '.join(axes)} {'repeats' if len(axes) == 1 else 'repeat'} one number for"
+        repeats = f"{', '.join(axes)} {'repeats' if len(axes) == 1 else 'repeat'} one number"
         others = "another axis" if len(axes) < 3 else "the other sensor"
-        text += f" {ends[1] - ends[0]:.1f} s while {others} moves: left out of scores"
+        text = (
+            f"the {sensor}'s {repeats} for {ends[1] - ends[0]:.1f} s while {others} moves: left out of scores"
+        )
         yield SensorFault("stuck axis", sensor, axes, *ends, text)
 
 
@@ -159,12 +162,9 @@ def vibrations(time: Array, gyro: Array, accel: Array) -> Iterator[SensorFault]:
         after = np.flatnonzero(lasting[k:] < 0.5 * least)
         end = k + int(after[0]) if after.size else count
         if (end - k) * BLOCK_S >= LASTS_S:
-            rms, quiet = (
-                float(np.sqrt((part**2).sum(axis=2).mean())) for part in (blocks[k:end], blocks[:k])
-            )
-            text = f"the accelerometer vibrates by {rms:.1f} m/s² RMS above 20 Hz"
-            stop = time[-1] if end == count else time[end * size]
-            ends, text = (float(time[k * size]), float(stop)), f"{text}, by {quiet:.1f} m/s² before"
+            rms, quiet = (np.sqrt((part**2).sum(axis=2).mean()) for part in (blocks[k:end], blocks[:k]))
+            text = f"the accelerometer vibrates by {rms:.1f} m/s² RMS above 20 Hz, by {quiet:.1f} m/s² before"
+            ends = float(time[k * size]), float(time[-1] if end == count else time[end * size])
             yield SensorFault("vibration", "accelerometer", "xyz", *ends, text)
         k = end + before
 
@@ -182,45 +182,41 @@ def bias_jumps(gyro: Array, quat: Array, rate_hz: float) -> Iterator[SensorFault
         quat: quat_WB (T, 4); NaN where not known.
         rate_hz: Samples per second.
     """
-    turns = bias_over_time(gyro, quat, rate_hz)
-    bias = turns.bias
-    found: list[tuple[int, int, float, str]] = []
+    bias, rates, rms = bias_over_time(gyro, quat, rate_hz)
+    found: list[tuple[int, int, str, float]] = []
     for axis in range(3):
         level, start, largest = 0.0, 0, 0.0
-        for k, step in _steps(turns, axis):
+        for k, step in _steps(bias[:, axis], rates, rms):
             start, largest = (k, 0.0) if level == 0.0 else (start, largest)
             level += step
             largest = max(largest, level, key=abs)
             if abs(level) < BACK * abs(largest):
-                if (k - start) * LONG_S >= JUMP_S:
-                    found.append((start, k, largest, "xyz"[axis]))
                 level = 0.0
+                if (k - start) * LONG_S >= JUMP_S:
+                    found.append((start, k, "xyz"[axis], largest))
         if level != 0.0:
-            found.append((start, len(bias), largest, "xyz"[axis]))
-    groups: list[list[tuple[int, int, float, str]]] = []
-    for each in sorted(found):
-        if not groups or (each[0] - groups[-1][0][0]) * LONG_S > TOGETHER_S:
-            groups.append([])
-        groups[-1].append(each)
-    for group in groups:
-        sizes = sorted((axis, np.degrees(step)) for *_, step, axis in group)
-        shown = " and ".join(f"{size:+.1f} °/s about {axis}" for axis, size in sizes)
+            found.append((start, len(bias), "xyz"[axis], largest))
+    while found:
+        begin = min(found)[0]
+        group = [each for each in found if (each[0] - begin) * LONG_S <= TOGETHER_S]
+        found = [each for each in found if each not in group]
+        sizes = {axis: np.degrees(step) for *_, axis, step in sorted(group, key=lambda each: each[2:])}
+        shown = " and ".join(f"{size:+.1f} °/s about {axis}" for axis, size in sizes.items())
         text = f"the gyroscope's bias jumps by {shown}, against turns of the true attitude over {LONG_S:g} s"
         end = max(end for _, end, *_ in group)
         last = (len(gyro) - 1) / rate_hz if end == len(bias) else end * LONG_S
-        axes = "".join(axis for axis, _ in sizes)
-        yield SensorFault("bias jump", "gyroscope", axes, group[0][0] * LONG_S, last, text)
+        yield SensorFault("bias jump", "gyroscope", "".join(sizes), begin * LONG_S, last, text)
 
 
-def _steps(turns: BiasOverTime, axis: int) -> list[tuple[int, float]]:
+def _steps(bias: Array, rates: Array, rms: Array) -> list[tuple[int, float]]:
     """Turns (n,) at which the bias of an axis jumps, and by how much [rad/s].
 
     At every turn: bias = a + m·ω + s·[after] over the time before and after, by least squares. Errors of
     scale and mounting go with the rate ω and are none of the step s. Fast turns weigh less.
     """
-    bias, found = turns.bias[:, axis].copy(), []
+    bias, found = bias.copy(), []
     while len(found) < MOST_STEPS:
-        fits = [_step(bias, turns.rate, turns.rms, k) for k in range(len(bias) + 1)]
+        fits = [_step(bias, rates, rms, k) for k in range(len(bias) + 1)]
         surely = [sigmas if abs(step) > STEP else 0.0 for step, sigmas in fits]
         k = int(np.argmax(surely))
         if surely[k] < SIGMAS:
@@ -286,12 +282,6 @@ def _moving(gyro: Array, rate_hz: float, size: int, count: int) -> NDArray[np.bo
     variance = uniform_filter1d(slow**2, span, axis=0) - uniform_filter1d(slow, span, axis=0) ** 2
     at = np.minimum(np.arange(count) * size + size // 2, len(gyro) - 1)
     return np.asarray(variance[at].sum(axis=1) > MOVING**2)
-
-
-def _within(fault: SensorFault, other: SensorFault) -> bool:
-    """Whether a fault of an axis lies within another of that axis."""
-    same = (fault.sensor, fault.axes) == (other.sensor, other.axes)
-    return same and other.start_s <= fault.start_s and fault.end_s <= other.end_s
 
 
 def _axes(values: NDArray) -> Iterator[tuple[Sensor, str, NDArray]]:

@@ -38,8 +38,8 @@ class Agreement(NamedTuple):
 
     agreement: float
     """Correlation over all three axes, corrected for the truth's noise: 1 where both turn alike."""
-    axes: tuple[float, float, float]
-    """The same of each axis; 1 where the truth hardly turns about it."""
+    axes: Array
+    """The same of each axis (3,); 1 where the truth hardly turns about it."""
     rotated: float
     """The same under the rotation of the gyroscope's axes at which it is largest,"""
     rotation_deg: float
@@ -181,15 +181,11 @@ def _agreement(rates: Turns, lag: int, rotated_lag: int) -> Agreement:
     explained = common if common > COMMON else 1.0
     noise = (1 - explained**2) * float((b**2).sum()) / 3
     signal = (b**2).sum(axis=0) - noise
-    x, y, z = (
-        float(a[:, k] @ b[:, k] / np.sqrt(max(float(a[:, k] @ a[:, k]), 1e-30) * signal[k]))
-        if signal[k] > TURNING**2 * len(b)
-        else 1.0
-        for k in range(3)
-    )
+    turns = signal > TURNING**2 * len(b)
+    scale = np.sqrt(np.maximum((a**2).sum(axis=0), 1e-30) * np.where(turns, signal, 1.0))
     return Agreement(
         agreement=float(plain.agreement) / explained,
-        axes=(x, y, z),
+        axes=np.where(turns, (a * b).sum(axis=0) / scale, 1.0),
         rotated=float(best.rotated_agreement) / explained,
         rotation_deg=float(best.rotation_deg),
         gain=float(best.rotated_agreement - plain.agreement),
@@ -245,17 +241,6 @@ class GyroBias(NamedTuple):
         return np.where(np.abs(self.mean) <= self.half_width, 0.0, self.mean)
 
 
-class BiasOverTime(NamedTuple):
-    """A gyroscope's bias over each of n turns of `LONG_S`; NaN where the turn is fast or not known."""
-
-    bias: Array
-    """(n, 3) [rad/s]."""
-    rate: Array
-    """Mean rate (n, 3) [rad/s]."""
-    rms: Array
-    """Root mean square of the rate (n,) [rad/s]."""
-
-
 def bias_by_truth(gyro: Array, quat: Array, rate_hz: float) -> GyroBias:
     """The bias b at which the integrated gyroscope turns as the truth does, with its 95 % interval.
 
@@ -281,20 +266,26 @@ def bias_by_truth(gyro: Array, quat: Array, rate_hz: float) -> GyroBias:
     return GyroBias(mean, float(student.ppf(0.975, blocks - 1)) * sd)
 
 
-def bias_over_time(gyro: Array, quat: Array, rate_hz: float) -> BiasOverTime:
-    """The bias of each turn of `LONG_S`, linear about that of the log."""
+def bias_over_time(gyro: Array, quat: Array, rate_hz: float) -> tuple[Array, Array, Array]:
+    """Bias and mean rate (n, 3), and the rate's root mean square (n,), over each turn of `LONG_S` [rad/s].
+
+    The bias is linear about that of the log. All are NaN where the turn is fast or not known.
+    """
     known, rates, truth = _slow_turns(gyro, quat, rate_hz)
-    bias, means = np.full((2, len(known), 3), np.nan)
-    rms = np.full(len(known), np.nan)
+    bias, means, rms = (
+        np.full((len(known), 3), np.nan),
+        np.full((len(known), 3), np.nan),
+        np.full(len(known), np.nan),
+    )
+    rms[known] = np.sqrt((rates**2).sum(axis=2).mean(axis=1))
+    slow = rms[known] < RATE_MAX  # not to and fro with a small mean
     mean = bias_by_truth(gyro, quat, rate_hz).mean
     if np.isfinite(mean).all():
-        beyond, lever = _beyond(rates - mean, truth, 1.0 / rate_hz)
+        beyond, lever = _beyond(rates[slow] - mean, truth[slow], 1.0 / rate_hz)
+        known[known] = slow
         bias[known] = mean + np.linalg.solve(lever, beyond[:, :, None])[:, :, 0]
-        means[known] = rates.mean(axis=1)
-        rms[known] = np.sqrt((rates**2).sum(axis=2).mean(axis=1))
-        fast = ~(rms < RATE_MAX)  # to and fro, with a small mean
-        bias[fast], means[fast], rms[fast] = np.nan, np.nan, np.nan
-    return BiasOverTime(bias, means, rms)
+        means[known] = rates[slow].mean(axis=1)
+    return bias, means, rms
 
 
 def _slow_turns(gyro: Array, quat: Array, rate_hz: float) -> tuple[NDArray[np.bool_], Array, Array]:
