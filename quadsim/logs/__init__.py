@@ -69,14 +69,10 @@ def read_parts(log: Recording, rate_hz: float = 200.0) -> list[xr.Dataset]:
 
 
 def refused(reports: Iterable[LogReport], force: bool = False) -> list[str]:
-    """What cannot be right in logs, a sentence each.
-
-    Args:
-        reports: What reading them, or parts of them, found.
-        force: Whether they are used all the same.
+    """What cannot be right in logs or parts of them, a sentence each.
 
     Raises:
-        ValueError: The first of them, and how many more there are, unless they are used all the same.
+        ValueError: The first of them, and how many more there are, unless they are used all the same (force).
     """
     faults = list(dict.fromkeys(f"{report.path}: {fault}" for report in reports for fault in report.faults))
     if faults and not force:
@@ -106,10 +102,10 @@ def read_recording(
 
 def _read(path: Path, truth: str | None, imu: str | None) -> Recording:
     suffix = path.suffix.lower()
-    if imu is not None and not _is_bag(path):
-        raise ValueError(f"{path}: an IMU topic can be chosen in a ROS bag only")
-    if _is_bag(path):
+    if suffix in (".bag", ".db3", ".mcap") or (path / "metadata.yaml").is_file():
         return read_rosbag(path, imu, truth)
+    if imu is not None:
+        raise ValueError(f"{path}: an IMU topic can be chosen in a ROS bag only")
     if suffix == ".ulg":
         return read_ulog(path, truth)
     if path.is_dir() and euroc_folder(path) is not None:
@@ -124,7 +120,3 @@ def _read(path: Path, truth: str | None, imu: str | None) -> Recording:
         return read_usdlog(path)
     hint = "; write a column map for it, see docs/reference/logs.md" if suffix == ".csv" else ""
     raise ValueError(f"{path}: not a log that can be read{hint}; known: {FORMATS}")
-
-
-def _is_bag(path: Path) -> bool:
-    return path.suffix.lower() in (".bag", ".db3", ".mcap") or (path / "metadata.yaml").is_file()

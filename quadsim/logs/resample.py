@@ -4,6 +4,8 @@ Nothing is bridged in silence: where the log has a gap the samples are NaN, whic
 missing, and where the truth is not known it is NaN, which no score counts.
 """
 
+from collections.abc import Iterator
+
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -61,11 +63,10 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
             even[inside] = _even(time[part], readings[part], grid[inside], rate_hz, source_rate, corner)
     even[np.interp(grid, time, stuck.any(axis=1)) > 0.0] = np.nan
     gyro, accel = even[:, :3], even[:, 3:]
-    truth, truth_rate = _truth(log, grid)
+    truth, of_truth = _truth(log, grid)
     sensors = {
-        name: interpolated(grid, track.time[sound], track.values[sound], SENSOR_GAP_S)
+        name: interpolated(grid, track.time, track.values, SENSOR_GAP_S)
         for name, track in log.sensors.items()
-        for sound in [_sound(*track)]
     }
     quat = truth["quat"]
     known = np.isfinite(quat).all(axis=1) & np.isfinite(even).all(axis=1)
@@ -77,9 +78,7 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
         truth_axes=log.truth_axes,
         path=log.path,
         notes=log.notes,
-        truth_rate_hz=truth_rate,
         truth_share=float(np.isfinite(quat).all(axis=1).mean()),
-        truth_norm=_median_norm(log.quat),
         gravity=None if gravity is None else tuple(gravity.tolist()),
         aligned=align(gyro, quat, rate_hz),
         level=level(gyro, accel, rate_hz) if gravity is None or log.truth_axes == "imu" else None,
@@ -87,32 +86,22 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
         weight=weight,
         vibration=float(np.sqrt((fast_part(log.accel, source_rate) ** 2).sum(axis=1).mean())),
         upright=float(log.accel[:, 2].mean() / max(weight, 1e-9)),
-        still=_still(readings),
+        still=tuple(_still(readings)),
         sensor_faults=find_faults(time, readings, stuck, even_gyro=gyro, quat=quat, rate_hz=rate_hz),
         filter_hz=corner,
+        **of_truth,
         **counted,
         **steps,
     )
     return _dataset({"gyro": gyro, "accel": accel} | truth | sensors, rate_hz, log.name, report), report
 
 
-def _still(readings: Array) -> tuple[str, ...]:
+def _still(readings: Array) -> Iterator[str]:
     """Sensors, or axes of one, that read the same number all the time."""
     constant = (readings == readings[0]).all(axis=0)
-    found: list[str] = []
     for name, first in (("the gyroscope", 0), ("the accelerometer", 3)):
         axes = [AXES[k] for k in range(first, first + 3) if constant[k]]
-        found += [name] if len(axes) == 3 else axes
-    return tuple(found)
-
-
-def _median_norm(quat: Array | None) -> float | None:
-    """Median length of the quaternions that are known; None where none is."""
-    if quat is None:
-        return None
-    length = np.linalg.norm(quat, axis=1)
-    known = length > 0  # not NaN, and infinite where a number is too large to be squared
-    return float(np.median(length[known])) if known.any() else None
+        yield from [name] if len(axes) == 3 else axes
 
 
 def _even(
@@ -136,18 +125,14 @@ def _even(
     return CubicSpline(fine, smooth)(grid)
 
 
-def _sound(time: Array, values: Array) -> NDArray[np.int64]:
-    """Rows (K, ·) of finite numbers whose stamps are after all before."""
-    good = np.flatnonzero(np.isfinite(values).all(axis=1) & np.isfinite(time))
-    return good[forward(time[good])]
-
-
 def interpolated(grid: Array, time: Array, values: Array, longest_s: float) -> Array:
-    """Readings on the grid (T, ·), NaN outside and between stamps that are further apart than a time [s]."""
-    if time.size < 2:
+    """Sound readings on the grid (T, ·), NaN outside and between stamps further apart than a time [s]."""
+    good = np.flatnonzero(np.isfinite(values).all(axis=1) & np.isfinite(time))
+    good = good[forward(time[good])]
+    if good.size < 2:
         return np.full((grid.size, values.shape[1]), np.nan)
-    even = np.stack([np.interp(grid, time, column) for column in values.T], axis=1)
-    return np.where(_between(grid, time, longest_s)[:, None], even, np.nan)
+    even = np.stack([np.interp(grid, time[good], column) for column in values[good].T], axis=1)
+    return np.where(_between(grid, time[good], longest_s)[:, None], even, np.nan)
 
 
 def _between(grid: Array, time: Array, longest_s: float) -> NDArray[np.bool_]:
@@ -156,42 +141,47 @@ def _between(grid: Array, time: Array, longest_s: float) -> NDArray[np.bool_]:
     return inside & (time[after] - time[after - 1] <= longest_s)
 
 
-def _truth(log: Recording, grid: Array) -> tuple[dict[str, Array], float]:
-    """Attitude, position and mark on the grid; NaN where not known. And the rate of the attitude."""
+def _truth(log: Recording, grid: Array) -> tuple[dict[str, Array], dict[str, float | None]]:
+    """Attitude, position and mark on the grid, NaN where not known; rate and length by the report's names."""
     out = {"quat": np.full((grid.size, 4), np.nan), "scored": np.zeros(grid.size, bool)}
+    found: dict[str, float | None] = {"truth_rate_hz": 0.0, "truth_norm": None}
     if log.quat is None or log.truth_time is None:
-        return out, 0.0
-    length = np.linalg.norm(log.quat, axis=1, keepdims=True)
+        return out, found
+    length = np.linalg.norm(log.quat, axis=1)
+    if (measured := length[length > 0]).size:  # not NaN, and infinite where a square is too large
+        found["truth_norm"] = float(np.median(measured))
     near = (log.truth_time >= grid[0] - LONGEST_GAP_S) & (log.truth_time <= grid[-1] + LONGEST_GAP_S)
-    sound = near[:, None] & (length > 0.5) & np.isfinite(length)
-    kept = _sound(log.truth_time, np.where(sound, log.quat, np.nan))
+    kept = np.flatnonzero(near & (length > 0.5) & np.isfinite(length))
+    kept = kept[forward(log.truth_time[kept])]
     if kept.size < 2:
-        return out, 0.0
+        return out, found
     time = log.truth_time[kept]
     known = _between(grid, time, TRUTH_GAP_S)
     if known.any():
         turns = Slerp(time, Rotation.from_quat(xyzw_from_wxyz(log.quat[kept])))
         out["quat"][known] = wxyz_from_xyzw(turns(grid[known].clip(time[0], time[-1])).as_quat())
     after = np.clip(np.searchsorted(time, grid), 1, time.size - 1)
-    mark = np.ones(len(kept), bool) if log.marked is None else log.marked[kept]
+    mark = np.ones(kept.size, bool) if log.marked is None else log.marked[kept]
     out["scored"] = known & mark[after] & mark[after - 1]
     if log.position is not None:
         out["position"] = interpolated(grid, time, log.position[kept], TRUTH_GAP_S)
-    return out, float(1.0 / np.median(np.diff(time)))
+    return out, found | {"truth_rate_hz": float(1.0 / np.median(np.diff(time)))}
 
 
 def _dataset(arrays: dict[str, Array], rate_hz: float, name: str, report: LogReport) -> xr.Dataset:
-    scored, steps = arrays.pop("scored"), len(arrays["gyro"])
+    steps = len(arrays["gyro"])
     variables = {
-        each: (
-            ("flight", "time", MEASURED[each].dim),
+        name: (
+            ("flight", "time", MEASURED[name].dim),
             values[None],
-            {"units": MEASURED[each].units, "long_name": MEASURED[each].long_name},
+            {"units": MEASURED[name].units, "long_name": MEASURED[name].long_name},
         )
-        for each, values in arrays.items()
+        for name, values in arrays.items()
+        if name != "scored"
     }
+    scored = ("flight", "time"), arrays["scored"][None], {"long_name": "marked for scoring"}
     return xr.Dataset(
-        {**variables, "scored": (("flight", "time"), scored[None], {"long_name": "marked for scoring"})},
+        {**variables, "scored": scored},
         coords={
             "flight": [0],
             "time": ("time", np.arange(steps) / rate_hz, {"units": "s"}),

@@ -22,13 +22,6 @@ def euroc_folder(path: Path) -> Path | None:
     return next((place for place in places if (place / "imu0" / "data.csv").is_file()), None)
 
 
-def euroc_sequences(path: Path) -> list[Path]:
-    """Sequences below a folder: itself, or each folder in it."""
-    return [path] if (path / "imu0").is_dir() or (path / "mav0").is_dir() else sorted(
-        each.parent for each in path.glob("*/mav0")
-    )  # fmt: skip
-
-
 def read_euroc(path: Path, truth: str | None = None) -> Recording:
     """Read imu0, rotated by its T_BS into the dataset's body axes, which its ground truth is of.
 
@@ -41,8 +34,8 @@ def read_euroc(path: Path, truth: str | None = None) -> Recording:
     folder = euroc_folder(path)
     if folder is None:
         raise ValueError(f"{path}: no imu0/data.csv, not an EuRoC sequence")
-    if len(sequences := euroc_sequences(path)) > 1:
-        raise ValueError(f"{path} holds {len(sequences)} sequences: give one, such as {sequences[0]}")
+    if folder.parent.parent == path and len(more := sorted(path.glob("*/mav0"))) > 1:
+        raise ValueError(f"{path} holds {len(more)} sequences: give one, such as {more[0].parent}")
     imu = _numbers(folder / "imu0" / "data.csv", 7)
     body_from_sensor = _rotation(folder / "imu0" / "sensor.yaml")
     gyro, accel = (imu[:, part] @ body_from_sensor.T for part in (slice(1, 4), slice(4, 7)))
