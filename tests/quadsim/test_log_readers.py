@@ -155,28 +155,3 @@ def test_converted_logs_have_the_rotor_speeds_of_the_log(tmp_path):
     log = read_log(write_usd(tmp_path / "log00"))
     flights = open_dataset(convert([log], tmp_path / "out.zarr", piece_s=1.0))
     np.testing.assert_allclose(flights["rotor_vel"][0, 50], np.array([1, 2, 3, 4]) * 100 * np.pi, rtol=1e-6)
-
-
-def test_an_mcap_file_is_read_without_its_folder(tmp_path):
-    rosbag2, typesys = pytest.importorskip("rosbags.rosbag2"), pytest.importorskip("rosbags.typesys")
-    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-    kind = store.types
-    vector, none = kind["geometry_msgs/msg/Vector3"], np.zeros(9)
-    attitude = kind["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
-    with rosbag2.Writer(tmp_path / "bag", version=9, storage_plugin=rosbag2.StoragePlugin.MCAP) as writer:
-        imu = writer.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=store)
-        pose = writer.add_connection("/mocap", "geometry_msgs/msg/PoseStamped", typestore=store)
-        for k in range(10):
-            stamp = 10**9 + 5_000_000 * k
-            header = kind["std_msgs/msg/Header"](kind["builtin_interfaces/msg/Time"](1, 5_000_000 * k), "")
-            read = kind["sensor_msgs/msg/Imu"](
-                header, attitude, none, vector(0.1, 0.0, 0.0), none, vector(0.0, 0.0, 9.81), none
-            )
-            writer.write(imu, stamp, store.serialize_cdr(read, "sensor_msgs/msg/Imu"))
-            where = kind["geometry_msgs/msg/Pose"](kind["geometry_msgs/msg/Point"](0.0, 0.0, 1.0), attitude)
-            posed = kind["geometry_msgs/msg/PoseStamped"](header, where)
-            writer.write(pose, stamp, store.serialize_cdr(posed, "geometry_msgs/msg/PoseStamped"))
-    alone = next((tmp_path / "bag").glob("*.mcap")).rename(tmp_path / "alone.mcap")
-    log = read_recording(alone)
-    assert log.gyro.shape == (10, 3)
-    assert log.truth == "/mocap: poses"

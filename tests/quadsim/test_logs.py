@@ -72,31 +72,42 @@ def test_the_mounting_in_an_exported_folder_is_undone(tmp_path):
     np.testing.assert_allclose(log["gyro"][0], open_dataset(data)["ang_vel"][0], atol=1e-5)
 
 
-def test_ros1_bags_are_read_too(tmp_path):
-    rosbag1, typesys = pytest.importorskip("rosbags.rosbag1"), pytest.importorskip("rosbags.typesys")
-    store = typesys.get_typestore(typesys.Stores.ROS1_NOETIC)
-    kinds = store.types
+def write_bag(path, ros: int) -> None:
+    """A bag of ROS 1 (.bag), or a folder of ROS 2 with an .mcap: the turning sensor, and poses of it."""
+    pytest.importorskip("rosbags")
+    from rosbags import rosbag1, rosbag2, typesys
+
+    store = typesys.get_typestore(typesys.Stores.ROS1_NOETIC if ros == 1 else typesys.Stores.ROS2_HUMBLE)
+    write = store.serialize_ros1 if ros == 1 else store.serialize_cdr
+    mcap = {"version": 9, "storage_plugin": rosbag2.StoragePlugin.MCAP}
+    kinds, none = store.types, np.zeros(9)
+    vector, turn = kinds["geometry_msgs/msg/Vector3"], kinds["geometry_msgs/msg/Quaternion"]
+    header, stamped = kinds["std_msgs/msg/Header"], kinds["builtin_interfaces/msg/Time"]
     time, gyro, accel, quat = turning()
-    header, vector = kinds["std_msgs/msg/Header"], kinds["geometry_msgs/msg/Vector3"]
-    orientation, none = kinds["geometry_msgs/msg/Quaternion"], np.zeros(9)
-    with rosbag1.Writer(tmp_path / "x.bag") as bag:
+    with rosbag1.Writer(path) if ros == 1 else rosbag2.Writer(path, **mcap) as bag:
         imu = bag.add_connection("/imu0", "sensor_msgs/msg/Imu", typestore=store)
         pose = bag.add_connection("/vicon", "geometry_msgs/msg/TransformStamped", typestore=store)
-        for k, each in enumerate(np.rint((time + 100.0) * 1e9).astype(int).tolist()):
-            head = header(k, kinds["builtin_interfaces/msg/Time"](*divmod(each, 10**9)), "imu")
+        for k, stamp in enumerate(np.rint((time + 100.0) * 1e9).astype(int).tolist()):
+            head = header(*([k] if ros == 1 else []), stamped(*divmod(stamp, 10**9)), "imu")
             w, x, y, z = map(float, quat[k])
-            message = kinds["sensor_msgs/msg/Imu"](
-                head, orientation(0.0, 0.0, 0.0, 0.0), none, vector(*gyro[k]), none, vector(*accel[k]), none
-            )
-            bag.write(imu, each, store.serialize_ros1(message, "sensor_msgs/msg/Imu"))
-            move = kinds["geometry_msgs/msg/Transform"](vector(0.0, 0.0, 0.0), orientation(x, y, z, w))
+            unknown, read = turn(0.0, 0.0, 0.0, 0.0), (vector(*gyro[k]), none, vector(*accel[k]), none)
+            message = kinds["sensor_msgs/msg/Imu"](head, unknown, none, *read)
+            bag.write(imu, stamp, write(message, "sensor_msgs/msg/Imu"))
+            move = kinds["geometry_msgs/msg/Transform"](vector(0.0, 0.0, 0.0), turn(x, y, z, w))
             message = kinds["geometry_msgs/msg/TransformStamped"](head, "body", move)
-            bag.write(pose, each, store.serialize_ros1(message, "geometry_msgs/msg/TransformStamped"))
-    log, report = reported(tmp_path / "x.bag")
-    consistent(log)
-    assert report.truth.startswith("/vicon")
-    with pytest.raises(ValueError, match=r'no topic "/imu1" of the right kind; topics: /imu0'):
-        read_log(tmp_path / "x.bag", imu="/imu1")
+            bag.write(pose, stamp, write(message, "geometry_msgs/msg/TransformStamped"))
+
+
+def test_ros_bags_and_an_mcap_file_without_its_folder_are_read(tmp_path):
+    write_bag(tmp_path / "x.bag", 1)
+    write_bag(tmp_path / "bag", 2)
+    alone = next((tmp_path / "bag").glob("*.mcap")).rename(tmp_path / "alone.mcap")
+    for path in (tmp_path / "x.bag", alone):
+        log, report = reported(path)
+        consistent(log)
+        assert report.truth == "/vicon: poses"
+        with pytest.raises(ValueError, match=r'no topic "/imu1" of the right kind; topics: /imu0'):
+            read_log(path, imu="/imu1")
 
 
 def write_px4(path, **topics):
