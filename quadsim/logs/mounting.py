@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
-from ..dataset.stretches import blocks_of
+from ..dataset.stretches import blocks_of, stretches
 from ..rotation import matrix_from_quat, quat_from_roll_pitch, quat_rotate_inverse, roll_pitch_of_up
 from ..runs.console import print_table, say
 from ..vehicle import GRAVITY
@@ -112,15 +112,14 @@ def turn_at_rest(gyro: Array, accel: Array, rate_hz: float) -> Rest | None:
     steady = np.isfinite(rates).all(axis=1) & (np.linalg.norm(forces.std(axis=1), axis=1) < REST_SHARE * size)
     steady &= np.abs(size / GRAVITY - 1.0) < HOVER_FORCE
     found: list[Rest] = []
-    start = 0
-    for k in range(len(means) + 1):
-        ends = k == len(means) or not steady[k]
-        if ends or np.linalg.norm(means[k] - means[start]) > REST_SHARE * size[start]:
-            if k > start and steady[start]:
+    for begin, last in stretches(steady):
+        start = begin
+        for k in range(begin + 1, last + 1):
+            if k == last or np.linalg.norm(means[k] - means[start]) > REST_SHARE * size[start]:
                 mean = rates[start:k].mean(axis=0)
                 across = float(np.linalg.norm(np.cross(means[start] / size[start], mean)))
                 found.append(Rest(k - start, across if across > 0.5 * float(np.linalg.norm(mean)) else 0.0))
-            start = k + ends
+                start = k
     return max(found, key=lambda rest: rest.rate * rest.seconds, default=None)
 
 
@@ -159,8 +158,8 @@ def mount_from_level(found: Level | None) -> MountEstimate:
         raise ValueError("no second without missing samples")
     if found.sd_deg > LARGEST_SD_DEG:
         raise ValueError(f"the mean force has no steady direction: {found.sd_deg:.0f}° (1 SD)")
-    by = f"the mean force of {found.seconds} s {'of hover' if found.hover else 'in motion'}"
     sd = float(np.hypot(found.sd_deg, np.degrees(BIAS / GRAVITY)))
+    by = f"the mean force of {found.seconds} s {'of hover' if found.hover else 'in motion'}"
     return MountEstimate(found.mount, (sd, sd, np.inf), by)
 
 
@@ -219,21 +218,18 @@ def with_accel_bias(found: MountEstimate, accel: Array, quat: Array) -> MountEst
 def show_estimate(path: Path, found: MountEstimate) -> None:
     """Print an estimated mounting, its uncertainty and the `--mount` that gives it."""
     x, y, z = found.sd_deg
-    angle = np.degrees(Rotation.from_matrix(found.body_from_imu).magnitude())
     rows = {
         "from": found.by,
-        "rotation": f"{angle:.2f}°",
+        "rotation": f"{np.degrees(Rotation.from_matrix(found.body_from_imu).magnitude()):.2f}°",
         "1 SD about body x, y": f"{x:.2f}°, {y:.2f}°",
         "1 SD about body z": f"{z:.2f}°" if z < math.inf else "the heading does not show",
     }
+    note = "the log cannot separate the accelerometer's bias from a tilt of the IMU"
     if found.accel_bias is not None:
         x, y = found.accel_bias
         rows["accelerometer bias, body x, y"] = f"{x:+.2f}, {y:+.2f} m/s²"
+        note = "the accelerometer's bias hides a part of the IMU's tilt" if found.levelled else ""
     print_table(rows.items())
-    if found.accel_bias is None:
-        text = "the log cannot separate the accelerometer's bias from a tilt of the IMU"
-        say(f"! {text}: the mount takes both together")
-    elif found.levelled:
-        text = "the accelerometer's bias hides a part of the IMU's tilt: the mount takes both together"
-        say(f"! {text}, so that no filter's error rises")
+    if note:
+        say(f"! {note}: the mount takes both together")
     say(f'{path}: --mount "{mount_text(found.body_from_imu)}"')
