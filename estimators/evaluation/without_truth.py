@@ -48,14 +48,6 @@ class Comparison:
     flaws: Mapping[str, str]
     """Estimators that are left out, and why."""
 
-    @property
-    def overall(self) -> tuple[float, float]:
-        """Median over pairs of both numbers of `apart` [deg]; NaN with fewer than two estimators."""
-        if not self.apart:
-            return float("nan"), float("nan")
-        median, most = np.median(list(self.apart.values()), axis=0).tolist()
-        return median, most
-
 
 def compare(
     estimates: Mapping[str, Array], gyro: Array, accel: Array, rate_hz: float, flaws: Mapping[str, str]
@@ -134,10 +126,8 @@ def _favoured(blocks: Mapping[str, Array], force: Mapping[str, float]) -> tuple[
             chosen.append(name)
     if LEVEL in chosen:
         return (), "a level guess has no larger force"
-    if len(blocks) == 2:  # one estimator and the guess
+    if len(blocks) == 2:
         return (), "no other estimator ran"
-    return (
-        (tuple(chosen), "")
-        if len(chosen) < len(blocks) - 1
-        else ((), "the estimators do not differ significantly")
-    )
+    if len(chosen) == len(blocks) - 1:  # all but the guess
+        return (), "the estimators do not differ significantly"
+    return tuple(chosen), ""

@@ -146,8 +146,8 @@ def _bias(scores: LogScores) -> Iterator[str]:
 def _compared(scores: LogScores, log: str) -> Iterator[str]:
     """How far estimators are apart on a log without truth, and what its forces favour."""
     found = scores.compared[log]
-    median, most = found.overall
     if found.apart:
+        median, most = np.median(list(found.apart.values()), axis=0)
         yield (
             f"{log} has no true attitude: the inclinations of two estimators differ by {median:.1f}° in the "
             f"median and by {most:.1f}° in the 95th percentile (median over pairs)."
