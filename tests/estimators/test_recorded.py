@@ -216,34 +216,23 @@ def test_what_cannot_be_ranked_is_listed_with_its_reason_and_is_not_the_best(log
     [
         ({"gyro": np.nan}, "gyroscope and accelerometer are missing where the attitude is known"),
         ({"scored": False}, "it marks no such sample for scoring"),
+        ({"quat": np.nan, "gyro": np.nan}, "it has neither attitude nor readings after the first 3 s"),
+        ({"quat": np.nan}, "it has no attitude"),
+        ({"quat": quat_from_euler(1.0, 0.0, 0.0)}, "it is tilted by more than 45° all the time (--within)"),
+        ({"time": 500}, "nothing is known after the first 3 s, which are not scored"),
+        ({"time": 500, "quat": np.nan}, "nothing is known after the first 3 s, which are not scored"),
+        ({}, ""),
     ],
 )
 def test_what_cannot_be_scored_is_said_before_anything_is_run(log, change, reason):
-    (name, value), blank = *change.items(), log.copy(deep=True)
-    blank[name][:] = value
-    with pytest.raises(ValueError, match=f"mine: nothing to score: {reason}"):
-        score_logs([blank], ["mahony"], progress=lambda *_: pytest.fail("something was run"))
-
-
-def test_a_log_without_attitude_and_readings_is_not_compared(log):
-    blank = log.copy(deep=True)
-    blank["quat"][:] = blank["gyro"][:] = np.nan
-    with pytest.raises(
-        ValueError, match="mine: nothing to score: it has neither attitude nor readings after the first 3 s"
-    ):
-        score_logs([blank], ["mahony"])
-
-
-def test_a_log_shorter_than_the_start_or_never_upright_is_not_scored(log):
-    assert unscorable(log) == ""
-    short = log.isel(time=slice(500)).copy(deep=True)
-    short["quat"][:] = np.nan
-    assert "after the first 3 s" in unscorable(short)
-    assert "after the first 3 s" in unscorable(log.isel(time=slice(500)))
-    steep = log.copy(deep=True)
-    steep["quat"][:] = quat_from_euler(1.0, 0.0, 0.0)
-    assert "tilted by more than 45° all the time (--within)" in unscorable(steep)
-    assert unscorable(steep, within_deg=60.0) == ""
+    blank = log.isel(time=slice(change.get("time"))).copy(deep=True)
+    for name in change.keys() - {"time"}:
+        blank[name][:] = change[name]
+    assert unscorable(blank) == reason
+    assert unscorable(blank, within_deg=60.0) == ("" if "--within" in reason else reason)
+    if reason not in ("", "it has no attitude"):
+        with pytest.raises(ValueError, match=re.escape(f"mine: nothing to score: {reason}")):
+            score_logs([blank], ["mahony"], progress=lambda *_: pytest.fail("something was run"))
 
 
 def saved(path, log, sensor=1.0, quat=1.0, valid=True):
