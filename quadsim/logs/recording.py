@@ -85,24 +85,23 @@ class Recording:
         axes: TruthAxes = "imu" if own_axes else "body"
         return replace(self, truth=truth, truth_time=time, quat=quat, position=position, truth_axes=axes)
 
-    def with_vectors(self, body_from_log: Array) -> Mapping[str, Track]:
-        """The sensors, their vectors rotated by a matrix (3, 3) from the log's axes."""
-        return {
+    def rotated(self, body_from_log: Array, note: str) -> "Recording":
+        """Its vectors rotated by a matrix (3, 3) from the log's axes; the truth is left as it is."""
+        sensors = {
             name: Track(track.time, track.values @ body_from_log.T) if name in IN_BODY_AXES else track
             for name, track in self.sensors.items()
         }
+        gyro, accel = self.gyro @ body_from_log.T, self.accel @ body_from_log.T
+        return replace(self, gyro=gyro, accel=accel, sensors=sensors, notes=(*self.notes, note))
 
 
 def from_frd(log: Recording) -> Recording:
     """A log in FRD body axes and an NED world, in ours."""
+    note = "FRD body axes in an NED world turned into FLU axes in a world with z up"
     return replace(
-        log,
-        gyro=swap_flu_frd(log.gyro),
-        accel=swap_flu_frd(log.accel),
+        log.rotated(swap_flu_frd(np.eye(3)), note),
         quat=None if log.quat is None else swap_enu_flu_ned_frd(log.quat),
         position=None if log.position is None else swap_enu_ned(log.position),
-        sensors=log.with_vectors(swap_flu_frd(np.eye(3))),
-        notes=(*log.notes, "FRD body axes in an NED world turned into FLU axes in a world with z up"),
     )
 
 
@@ -169,11 +168,4 @@ def mounted(log: Recording, body_from_imu: Array) -> Recording:
     quat = log.quat
     if quat is not None and log.truth_axes == "imu":
         quat = quat_multiply(quat, quat_conjugate(quat_from_matrix(body_from_imu)))
-    return replace(
-        log,
-        gyro=log.gyro @ body_from_imu.T,
-        accel=log.accel @ body_from_imu.T,
-        quat=quat,
-        notes=(*log.notes, f"IMU mounted {mount_text(body_from_imu)}"),
-        sensors=log.with_vectors(body_from_imu),
-    )
+    return replace(log.rotated(body_from_imu, f"IMU mounted {mount_text(body_from_imu)}"), quat=quat)
