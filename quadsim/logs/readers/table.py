@@ -12,16 +12,7 @@ from pydantic import model_validator
 from ...config.ranges import Between, SampleRate
 from ...config.toml import Strict, load_toml, nearest
 from ...rotation import quat_conjugate, quat_from_euler, wxyz_from_xyzw
-from ..recording import (
-    Array,
-    AxesConvention,
-    Recording,
-    Track,
-    TruthAxes,
-    from_frd,
-    mount_matrix,
-    mounted,
-)
+from ..recording import Array, AxesConvention, Recording, Track, TruthAxes, from_frd, mount_matrix, mounted
 
 Column = str | Annotated[int, Between(0, 9999)]
 """A name in the header, or a number counted from 0."""
@@ -144,16 +135,16 @@ def read_table(path: Path) -> Recording:
     sensors = {name: Track(time, read(name)) for name in ("rotor_vel", "mag") if getattr(spec, name)}
     accel, notes = read("accel") * (-1 if spec.accel.negate else 1), (f"columns by {path.name}",)
     log = Recording(path.stem, "CSV", time, read("gyro"), accel, notes=notes, sensors=sensors)
-    position = columns(spec.position) if spec.position else None
-    own_axes = spec.truth_axes == "imu"
+    quat, of = None, "the quaternion of the file"
     if spec.quat is not None:
         quat = columns(spec.quat.columns)
         quat = wxyz_from_xyzw(quat) if spec.quat.order == "xyzw" else quat
         quat = quat_conjugate(quat) if spec.quat.direction == "world_to_body" else quat
-        log = log.with_truth("the quaternion of the file", time, quat, position, own_axes)
     elif spec.euler is not None:
-        quat = quat_from_euler(*read("euler").T)
-        log = log.with_truth("roll, pitch and yaw of the file", time, quat, position, own_axes)
+        quat, of = quat_from_euler(*read("euler").T), "roll, pitch and yaw of the file"
+    if quat is not None:
+        position = columns(spec.position) if spec.position else None
+        log = log.with_truth(of, time, quat, position, spec.truth_axes == "imu")
     log = log if spec.mount == "x,y,z" else mounted(log, mount_matrix(spec.mount))
     return from_frd(log) if spec.frame == "frd" else log
 
@@ -175,9 +166,8 @@ def _rows(file: Path, spec: Table) -> tuple[list[str], Array]:
     for row, column in np.argwhere(np.isnan(numbers) & cells.notna().to_numpy())[:1]:
         cell = str(cells.iat[row, column])
         hint = '; is delimiter = ";" what it has?' if ";" in cell else ""
-        raise ValueError(
-            f"{file}: row {row + 1} of the numbers, column {column + 1}: {cell[:40]!r} is no number{hint}"
-        )
+        where = f"row {row + 1} of the numbers, column {column + 1}"
+        raise ValueError(f"{file}: {where}: {cell[:40]!r} is no number{hint}")
     if len(numbers) < 2:
         raise ValueError(f"{file}: at least 2 rows of numbers are required")
     return names, numbers
