@@ -650,6 +650,14 @@ def test_one_wrong_stamp_costs_one_sample():
         consistent(dataset.isel(time=slice(100, 600)))
 
 
+def test_stamps_of_truth_and_sensors_that_go_back_are_left_out():
+    log = turned()
+    stamps = log.time - np.where(np.arange(4000) // 10 == 70, 1.0, 0.0)
+    dataset = resample(turned(truth_time=stamps, sensors={"mag": Track(stamps, log.accel)}))[0]
+    consistent(dataset.isel(time=slice(720, 4000)))
+    np.testing.assert_allclose(dataset["mag"][0], log.accel, atol=0.1)
+
+
 def test_a_truth_of_another_time_is_no_truth():
     assert report_of(turned(truth_time=turned().time + 1e5)).truth_share == 0.0
 
