@@ -14,7 +14,7 @@ ATTITUDE_LEVEL = 2
 
 
 class Cascade:
-    """See `quadsim.control.own.AttitudeController`."""
+    """See `quadsim.control.attitude_controller.AttitudeController`."""
 
     def __init__(self, rate_hz: float, vehicle: Vehicle) -> None:
         self._made = vehicle, rate_hz

@@ -14,12 +14,12 @@ from simulated import estimate_of, simulated
 
 from estimators import create
 from estimators.analysis.circuit import measure
-from estimators.circuit.chip import place, populations
-from estimators.circuit.estimator import SCALING, Level, circuit_estimator
+from estimators.circuit.circuit_estimator import SCALING, Level, circuit_estimator
+from estimators.circuit.circuit_records import ANGLE_DIGITS, no_spikes, state_of
 from estimators.circuit.file import load_circuit
 from estimators.circuit.floats import new_trace, run_floats, stepped
+from estimators.circuit.on_chip import place, populations
 from estimators.circuit.parameters import GRAVITY, OUTPUT, RATE_HZ, Parameters, quantised, untrained
-from estimators.circuit.records import ANGLE_DIGITS, no_spikes, state_of
 from estimators.circuit.spikes import SpikingCircuit, step
 from estimators.evaluation.flights import Flights, load_flights
 from estimators.evaluation.logs import RAW

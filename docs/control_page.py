@@ -19,7 +19,7 @@ from estimators.networks.decay_profiles import share_profiles
 from estimators.networks.forward import OnLoihi
 from estimators.networks.network import silenced
 from estimators.networks.weights_file import load_network, save_network
-from quadsim.control.own import AttitudeController, MakeController
+from quadsim.control.attitude_controller import AttitudeController, MakeController
 from quadsim.flight.loop import FlightLoop
 from quadsim.flight.scenario import changed, load_scenario, scenario_names
 from quadsim.imu.spec import load_imu

@@ -14,7 +14,7 @@ from simulated import DURATION_S, SETS, simulated
 
 from estimators import create, names
 from estimators.evaluation.comparison import Evaluation, behind_the_best, evaluate
-from estimators.evaluation.figures import settling, violins
+from estimators.evaluation.error_figures import settling, violins
 from estimators.evaluation.flights import Flights, load_flights, vehicle_of
 from estimators.metrics import attitude_error, inclination_error
 from estimators.registry import FILTERPY

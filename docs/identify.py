@@ -11,8 +11,8 @@ from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
 from quadsim.flight.recipe import Recipe, load_recipe
 from quadsim.identify import Flight, Identified, flights_of, identify
+from quadsim.identify.fit_report import draw_fit
 from quadsim.identify.model import UNITS, constant, with_constants
-from quadsim.identify.report import draw_fit
 from quadsim.imu.spec import load_imu
 from quadsim.imu.stream import simulate_imu
 from quadsim.logs.allan import calibrate, draw

@@ -5,6 +5,7 @@ from contextlib import closing
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from imageio_ffmpeg import get_ffmpeg_exe
 from pages import ROOT
 from PIL import Image
@@ -12,7 +13,6 @@ from PIL import Image
 from quadsim.pictures.render import Scene, View
 from quadsim.rotation import quat_from_euler
 from quadsim.vehicle import load_vehicle
-from scenarios.bench.series import FlightSeries, unpack_series
 from scenarios.single_flight import fly_scenario
 
 ESTIMATOR = "att-snn-loihi"
@@ -23,12 +23,11 @@ WIDTH, QUALITY = 800, 31
 """Width [px], and constant rate factor of H.264."""
 
 
-def exposures(series: FlightSeries, start_s: float, end_s: float, count: int = 6) -> Image.Image:
+def exposures(samples: Path, start_s: float, end_s: float, count: int = 6) -> Image.Image:
     """A part of a flight with as many exposures, evenly spaced along the path."""
-    s = unpack_series(series)
-    part = (s["time"] >= start_s) & (s["time"] <= end_s)
-    place = np.stack([s["x"], s["y"], s["z"]], axis=-1)[part]
-    quat = quat_from_euler(*(np.radians(s[name][part]) for name in ("roll", "pitch", "yaw")))
+    part = pd.read_csv(samples).query("@start_s <= t <= @end_s")
+    place = part[["x", "y", "z"]].to_numpy()
+    quat = quat_from_euler(*part[["roll", "pitch", "yaw"]].to_numpy().T)
     path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(place, axis=0), axis=1))])
     shown = np.unique(np.searchsorted(path, np.linspace(0.0, path[-1], count)).clip(max=len(path) - 1))
     low, high = place.min(axis=0), place.max(axis=0)
@@ -43,11 +42,8 @@ def exposures(series: FlightSeries, start_s: float, end_s: float, count: int = 6
 def picture(out: Path) -> None:
     """The first jump of the scenario `step`."""
     flown = fly_scenario("step", ESTIMATOR, out / "step")
-    series = flown.results.cells[0].series
-    assert series is not None
-    image = exposures(series, *SHOWN_S)
-    path = ROOT / "docs" / "img" / "step.jpg"
-    image.save(path, quality=85, optimize=True)
+    image = exposures(flown.samples, *SHOWN_S)
+    image.save(ROOT / "docs" / "img" / "step.jpg", quality=85, optimize=True)
 
 
 def video(out: Path) -> None:

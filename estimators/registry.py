@@ -240,7 +240,7 @@ def needs_vehicle(name: str) -> bool:
 
 
 def _network(name: str, rate_hz: float, params: Mapping[str, object]) -> AttitudeEstimator:
-    from .circuit.estimator import circuit_estimator
+    from .circuit.circuit_estimator import circuit_estimator
     from .networks.network import create_network
 
     for key in params:

@@ -9,7 +9,7 @@ from quadsim.config.toml import nearest
 from quadsim.held_out import unreserved
 
 from .stages import Stage
-from .work import filters, flights, inside, networks, scores
+from .work import domains, filters, inside, scores, trainings
 from .work.scores import FILTERS
 
 PRESETS: dict[str, dict[str, Any]] = tomllib.loads(Path(__file__).with_name("sizes.toml").read_text("utf-8"))
@@ -86,7 +86,7 @@ def stages_of(sizes: Sizes) -> tuple[dict[str, Stage], dict[str, list[str]]]:
 
 def _fly(name: str, count: int, duration_s: float, seed: int, domain: str = "sim", **more: Any) -> Stage:
     settings = {"domain": domain, "flights": count, "duration_s": duration_s, "seed": seed}
-    return Stage(name, flights.fly, settings | more)
+    return Stage(name, domains.fly, settings | more)
 
 
 def _flights(s: Sizes) -> list[Stage]:
@@ -99,7 +99,7 @@ def _flights(s: Sizes) -> list[Stage]:
         _fly(TEST[1], s["test_flights"], s["test_s"], first + 6, "real"),
         _fly("fly-hover", 8, min(20.0, s["test_s"]), first + 7, trajectory=hover),
         _fly("fly-cruise", 8, 60.0, first + 8, trajectory=CRUISE),
-        Stage("distributions", flights.distributions, inputs=(SIM, REAL)),
+        Stage("distributions", domains.distributions, inputs=(SIM, REAL)),
     ]
 
 
@@ -119,7 +119,7 @@ def _train(
     validation: Sequence[str] = (),
 ) -> Stage:
     settings = {"data": list(data), "validation": list(validation), "seed": seed} | recipe
-    return Stage(name, networks.train, settings, (*data, *validation))
+    return Stage(name, trainings.train, settings, (*data, *validation))
 
 
 def _networks(s: Sizes) -> list[Stage]:

@@ -15,7 +15,7 @@ from quadsim.runs.files import save_figure, write_whole
 
 from .page import tables
 from .page.claims import CLAIMS, Judgement, judge
-from .page.figures import FIGURES
+from .page.paper_figures import FIGURES
 from .plan import Sizes, chosen, sizes_of, stages_of
 from .stages import NUMBERS, Progress, fingerprints, is_finished, record_of, run_stages, with_inputs
 

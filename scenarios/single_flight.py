@@ -17,9 +17,9 @@ from quadsim.runs.fingerprint import content_digest
 
 from .bench.cell import FlightSettings, make_cell, mission_of
 from .bench.flight_log import Flown, fly
+from .bench.flight_series import decimation
 from .bench.results import Results
 from .bench.runner import NO_CHANGES, Changes
-from .bench.series import decimation
 from .report.page import write_report
 
 COLUMNS = ("t", "x", "y", "z", "roll", "pitch", "yaw", "roll_est", "pitch_est", "x_ref", "y_ref", "z_ref")

@@ -218,7 +218,7 @@ SETTLED_S = 5.0
 
 
 class AttitudeTask:
-    """Roll and pitch from readings of an IMU; see `training.loop.Task`."""
+    """Roll and pitch from readings of an IMU; see `training.epochs.Task`."""
 
     scale = (1.0,)
 

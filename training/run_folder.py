@@ -76,7 +76,7 @@ def claim(out: Path, config: TrainConfig | CircuitRun, flights: dict[str, str]) 
         if before.model_dump(exclude=any_threads) != config.model_dump(exclude=any_threads):
             raise ValueError(f"{out}: holds a run with another configuration, choose another folder")
     write_whole(file, config.model_dump_json(indent=2))
-    contents = flights | {"code": code_digest("training.loop")}
+    contents = flights | {"code": code_digest("training.epochs")}
     file = out / "contents.json"
     if file.is_file() and (old := json.loads(file.read_text(encoding="utf-8"))) != contents:
         changed = ", ".join(name for name in contents if old.get(name) != contents[name])

@@ -10,11 +10,11 @@ import numpy as np
 
 from quadsim.dataset.reading import open_dataset
 
-from ..circuit.chip import populations
-from ..circuit.estimator import circuit_estimator
+from ..circuit.circuit_estimator import circuit_estimator
+from ..circuit.circuit_records import ANGLE_DIGITS, EVENTS, Circuit
 from ..circuit.file import CircuitConfig
+from ..circuit.on_chip import populations
 from ..circuit.parameters import RATE_HZ, Parameters, quantised
-from ..circuit.records import ANGLE_DIGITS, EVENTS, Circuit
 from ..evaluation.flights import load_flights
 from ..metrics import absolute_error
 from .energy import PICOJOULES

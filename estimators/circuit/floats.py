@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from quadsim.runs.compiled import njit
 
 from ..networks.encoder import INPUT_ONE, MISSING, Scaling, encode_sample, encoder_fields
+from .circuit_records import BIAS_RATE
 from .parameters import FELT, FELT_RATE, FELT_S, OUTPUT, RATE_HZ, SMOOTH_S, Parameters
-from .records import BIAS_RATE
 
 F = np.float32
 Floats = NDArray[np.float32]

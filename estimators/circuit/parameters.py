@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .records import BIAS_BITS, BIAS_RATE, FORCE, INNOVATION, ONE, TURN_RATE, Circuit
+from .circuit_records import BIAS_BITS, BIAS_RATE, FORCE, INNOVATION, ONE, TURN_RATE, Circuit
 
 Array = NDArray[np.float64]
 RATE_HZ = 200.0

@@ -36,7 +36,7 @@ from quadsim.runs.compiled import njit
 
 from ..loihi.neurons import STATE_MAX, decay
 from ..networks.encoder import Scaling, encode_sample, encoder_fields
-from .records import (
+from .circuit_records import (
     ANGLE_MAX,
     ANGLE_UNITS,
     BIAS_BITS,

@@ -1,8 +1,8 @@
 """A spiking network as attitude controller: set-points and readings to angular accelerations.
 
-It takes the place of the cascade's levels of attitude and body rate, see `quadsim.control.own`, and has the
-body rate and any estimator's roll and pitch. As for an attitude network, the host only scales inputs and
-outputs; its memory is the last valid inputs.
+It takes the place of the cascade's levels of attitude and body rate, see
+`quadsim.control.attitude_controller`, and has the body rate and any estimator's roll and pitch. As for an
+attitude network, the host only scales inputs and outputs; its memory is the last valid inputs.
 
 Inputs are bounded and so are outputs. A set-point is clipped to the limits of the file's `SetPointScaling`;
 one that is NaN keeps its last value, and so does a missing reading. An angular acceleration is clipped to
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from quadsim.config.toml import nearest
-from quadsim.control.own import MakeController
+from quadsim.control.attitude_controller import MakeController
 from quadsim.own import is_own, load_own
 from quadsim.runs.compiled import njit
 from quadsim.vehicle import GRAVITY, Vehicle

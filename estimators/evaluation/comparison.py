@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from quadsim.estimator import AttitudeEstimator, receives_truth
 from quadsim.runs.files import write_csv
 
-from ..circuit.estimator import Level
+from ..circuit.circuit_estimator import Level
 from ..circuit.file import is_circuit
 from ..metrics import (
     Summary,

@@ -16,7 +16,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from quadsim.estimator import AttitudeEstimator, receives_truth
-from quadsim.logs.faults import SensorFault
+from quadsim.logs.log_faults import SensorFault
 from quadsim.logs.truth import GyroBias, bias_by_truth
 
 from ..metrics import inclination_error

@@ -16,8 +16,8 @@ from quadsim.config.ranges import FORCE_MAX, RATE_MAX
 from quadsim.runs.files import write_whole
 from quadsim.runs.fingerprint import ASSETS
 
-from ..circuit import records
-from ..circuit.estimator import SCALING
+from ..circuit import circuit_records as records
+from ..circuit.circuit_estimator import SCALING
 from ..circuit.file import CircuitConfig
 from ..circuit.parameters import LEARNT, OUTPUT, RATE_HZ, Parameters, quantised
 from ..loihi.neurons import DECAY_ONE, STATE_MAX

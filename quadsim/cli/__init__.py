@@ -14,7 +14,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from . import catalogue, data, flights, identification, networks, report, studies
+from . import catalogue, data_verbs, flight_verbs, identification, network_verbs, report_verb, studies
 
 app = typer.Typer(
     name="quadsim",
@@ -27,16 +27,16 @@ app = typer.Typer(
 )
 
 for verb in (
-    data.generate,
-    networks.train,
-    networks.tune,
+    data_verbs.generate,
+    network_verbs.train,
+    network_verbs.tune,
     studies.evaluate,
-    flights.fly,
-    flights.bench,
-    report.report,
-    data.export,
+    flight_verbs.fly,
+    flight_verbs.bench,
+    report_verb.report,
+    data_verbs.export,
     identification.identify,
-    flights.demo,
+    flight_verbs.demo,
     studies.paper,
 ):
     app.command()(verb)

@@ -62,6 +62,6 @@ def identify(
             raise ValueError(f"{out}: an IMU file ends in .toml, and is not the log")
         show_calibration(calibrate(read_recording(files[0], mount=mount, imu=imu)), out)
         return
-    from ..identify.report import identify_files
+    from ..identify.fit_report import identify_files
 
     identify_files(files, vehicle, out or Path("mine.toml"), rate, mount)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..config.ranges import SAMPLE_RATE
 from ..config.toml import nearest
-from ..control.own import MakeController
+from ..control.attitude_controller import MakeController
 from ..control.records import ATTITUDE, LEVELS, Level
 from ..flight.mission import Mission
 from ..flight.scenario import Scenario, changed

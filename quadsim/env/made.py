@@ -7,7 +7,7 @@ from pathlib import Path
 from types import FunctionType, MethodType
 from typing import TypeAlias, cast
 
-from ..control.own import MakeController
+from ..control.attitude_controller import MakeController
 from ..estimator import AttitudeEstimator
 from ..flight.scenario import Scenario, load_scenario
 from ..own import named_errors

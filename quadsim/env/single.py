@@ -7,7 +7,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..control.own import MakeController
+from ..control.attitude_controller import MakeController
 from ..control.records import Level
 from ..flight.scenario import Scenario
 from ..flight.world import CAUSES
@@ -108,7 +108,7 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
     | `rate_hz`     | 200.0      | samples, and steps, per second                                         |
     | `duration_s`  | None       | length of an episode, instead of the scenario's                        |
     | `render_mode` | None       | "rgb_array" for pictures                                               |
-    | `controller`  | None       | attitude controller of your own, see `quadsim.control.own`; or weights |
+    | `controller`  | None       | your own attitude controller, or weights                               |
 
     `metadata["render_fps"]` is `rate_hz`, so that gymnasium's RecordVideo, which draws every step, plays in
     real time (it needs moviepy: `pip install 'quadsim[video]'`).

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..config.ranges import Engine
+from ..control.attitude_controller import InnerLoop, MakeController, made, start_own
 from ..control.cascade import Controller
-from ..control.own import InnerLoop, MakeController, made, start_own
 from ..control.records import LEVELS, Command, Level
 from ..estimator import AttitudeEstimator, Readings, accepted_sensors, receives_truth, roll_pitch_of
 from ..external import ExternalSensor

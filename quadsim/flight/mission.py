@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..config.ranges import steps_of
-from ..control.own import MakeController
+from ..control.attitude_controller import MakeController
 from ..control.records import Command, Level
 from ..estimator import AttitudeEstimator
 from ..external import ExternalSensor, ExternalSpec, load_external
@@ -50,7 +50,8 @@ class Mission(FlightLoop):
         n: Number of flights.
         rate_hz: Samples per second.
         duration_s: Length of a flight, instead of the scenario's.
-        controller: Makes the attitude controller, see `quadsim.control.own`; None for the cascade's own.
+        controller: Makes the attitude controller, see `quadsim.control.attitude_controller`; None for the
+            cascade's own.
     """
 
     def __init__(

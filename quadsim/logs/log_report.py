@@ -8,7 +8,7 @@ import numpy as np
 
 from ..runs.console import print_table, say
 from .cleaning import LONGEST_GAP_S
-from .faults import SensorFault
+from .log_faults import SensorFault
 from .mounting import Level, Rest
 from .recording import TruthAxes, mount_text
 from .truth import Alignment

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from ..dataset.store import LABELS, VARIABLES, Variable
 from ..rotation import quat_rotate, wxyz_from_xyzw, xyzw_from_wxyz
 from .cleaning import EXACT_S, LONGEST_GAP_S, forward, gaps_of, longest_part, stuck_samples
-from .faults import fast_part, find_faults
+from .log_faults import fast_part, find_faults
 from .log_report import AXES, LogReport
 from .mounting import level, turn_at_rest
 from .recording import Array, Recording

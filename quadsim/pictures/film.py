@@ -42,7 +42,7 @@ class Marks(NamedTuple):
         """Words of sample k, and their values: clock, error of the estimate, wind."""
         error = 2 * np.arccos(min(abs(float(np.dot(self.estimate[k], np.asarray(quat)))), 1.0))
         speed = float(np.linalg.norm(self.wind[k]))
-        said = {"time": f"{time:.1f} s", "estimate (blue) off by": f"{np.degrees(error):.1f} deg"}
+        said = {"time": f"{time:.1f} s", "error of estimate (blue)": f"{np.degrees(error):.1f} deg"}
         said |= {"wind (violet)": f"{speed:.1f} m/s", "set-point": "green"}
         return "\n".join(said), "\n".join(said.values())
 

@@ -20,7 +20,7 @@ from quadsim.flight.world import CAUSES
 from .controllers import controller_of, estimator_of
 from .flight_log import Flown, fly
 from .flight_metrics import error_histogram, flight_metrics
-from .series import FlightSeries, pack_series
+from .flight_series import FlightSeries, pack_series
 
 BOUNDLESS = 1e100
 """Upper bound for plausible values, in any unit; anything larger is treated as divergence."""

@@ -17,7 +17,7 @@ from quadsim.flight.mission import Mission
 from quadsim.runs.compiled import njit
 from quadsim.seeding import vehicle_seeds
 
-from .series import decimation
+from .flight_series import decimation
 
 Array = NDArray[np.float64]
 Log = NDArray[np.void]

@@ -68,7 +68,7 @@ def verdict(results: Results) -> Verdict:
         return Verdict(*_nobody(results), table)
     lines: list[str] = []
     if results.experiment.conditions:
-        headline, found = _by_condition(results, measure, whole.lost, partial)
+        headline, found = _by_condition(results, measure, whole, partial)
         lines += found
     else:
         lines.append(conditions(results.scenarios))
@@ -216,32 +216,34 @@ def _headline(results: Results, whole: Choice, measure: Measure) -> str:
     return text[0].upper() + text[1:]
 
 
-def _by_condition(
-    results: Results, measure: Measure, lost: Sequence[str], partial: str
-) -> tuple[str, list[str]]:
-    """The headline with a clause for each condition of the experiment, and a line for each."""
-    fly_where: dict[str, str] = {}
-    unfit, lines = [], []
-    for condition in results.experiment.conditions:
-        part = [k for k, levels in results.levels.items() if levels[condition.axis] in condition.levels]
-        found = choice(results, part)
-        lines.append(f"{condition.name}: {recommended(found, measure) if found.best else 'none flew.'}")
-        if found.best and found.best[0].fit:
-            fly_where[condition.clause] = _first_of(found.best, measure)
-        else:
-            unfit.append(condition.clause)
-    if not fly_where:
+def _by_condition(results: Results, measure: Measure, whole: Choice, partial: str) -> tuple[str, list[str]]:
+    """What is recommended on every condition of the experiment, else on each; and a line for each."""
+    conditions, choices = results.experiment.conditions, list[Choice]()
+    for each in conditions:
+        part = [name for name, levels in results.levels.items() if levels[each.axis] in each.levels]
+        choices.append(choice(results, part))
+    both = list(zip(conditions, choices, strict=True))
+    lines = [
+        f"{each.name}: {recommended(found, measure) if found.best else 'none flew.'}" for each, found in both
+    ]
+    fit = {each.clause: found.best for each, found in both if found.best and found.best[0].fit}
+    if not fit:
         return "No estimator is fit to fly on these conditions.", lines
     fly = "Fly" if results.experiment.held_out else f"On these {len(results.scenarios)} combinations fly"
     if partial:
         fly = f"On a part of the held-out suite ({partial}) fly"
-    if lost:
-        fly = f"No estimator survives {_where(lost, 'any of')}; elsewhere {fly[0].lower()}{fly[1:]}"
-    first, *others = fly_where.values()
-    if not unfit and {*others} <= {first}:
-        return f"{fly} {first}, {results.experiment.always}.", lines
+    if whole.lost:
+        fly = f"No estimator survives {_where(whole.lost, 'any of')}; elsewhere {fly[0].lower()}{fly[1:]}"
+    names = [{place.name for place in found.best} for found in choices]
+    everywhere = [place for place in whole.places if place.name in set.intersection(*names)]
+    if everywhere and len(fit) == len(conditions):
+        named = listed([said(place.name, measure) for place in everywhere], "or")
+        fates = listed(list(dict.fromkeys(place.fate for place in everywhere)), "or")
+        return f"{fly} {named}, {results.experiment.always} ({fates}).", lines
+    clauses = ", ".join(f"{_first_of(best, measure)} {clause}" for clause, best in fit.items())
+    unfit = [each.clause for each in conditions if each.clause not in fit]
     rest = f"; no estimator is fit to fly {listed(unfit, 'or')}" if unfit else ""
-    return f"{fly} {', '.join(f'{named} {clause}' for clause, named in fly_where.items())}{rest}.", lines
+    return f"{fly} {clauses}{rest}.", lines
 
 
 def recommended(found: Choice, measure: Measure) -> str:

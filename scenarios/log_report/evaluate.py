@@ -11,8 +11,8 @@ from quadsim.logs.log_report import UNSCORED
 from quadsim.runs.console import print_table, progress_bar, say
 
 from ..report.contenders import Contenders
-from .page import write_log_report
-from .verdict import log_verdict
+from .log_page import write_log_report
+from .log_verdict import log_verdict
 
 
 def evaluate_logs(

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import estimators
-from estimators.evaluation import figures
+from estimators.evaluation import error_figures
 from estimators.evaluation.comparison import behind_the_best, evaluate
 from estimators.evaluation.flights import imu_of, vehicle_of
 from estimators.registry import needs_vehicle, tuned_elsewhere
@@ -19,8 +19,8 @@ from .page import OfflineSection, write_report
 from .terminal import rows_table
 
 FIGURES = {
-    "violins": figures.violins,
-    "convergence": figures.settling,
+    "violins": error_figures.violins,
+    "convergence": error_figures.settling,
 }
 
 SLOW_FLIGHTS = 4

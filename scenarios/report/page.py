@@ -20,8 +20,8 @@ from ..bench.cell import FlightSettings
 from ..bench.controllers import TRUTH
 from ..bench.flight_log import SHARED
 from ..bench.flight_metrics import ERROR_BINS, ERROR_DECADES, METRICS
+from ..bench.flight_series import CHANNELS, FlightSeries, compress_flights
 from ..bench.results import Results, hours
-from ..bench.series import CHANNELS, FlightSeries, compress_flights
 from ..bench.verdict import ERROR, Verdict, measure_of, verdict
 from .template import render
 

@@ -5,10 +5,11 @@ import pytest
 from controllers import samples
 
 from estimators import create
-from estimators.circuit.chip import place, populations
-from estimators.circuit.estimator import SCALING, Level, circuit_estimator
+from estimators.circuit.circuit_estimator import SCALING, Level, circuit_estimator
+from estimators.circuit.circuit_records import ANGLE_DIGITS, INNOVATION, ONE, RING
 from estimators.circuit.file import CircuitConfig, is_circuit, load_circuit, save_circuit
 from estimators.circuit.floats import new_trace, run_floats, stepped
+from estimators.circuit.on_chip import place, populations
 from estimators.circuit.parameters import (
     FAST,
     GRAVITY,
@@ -19,7 +20,6 @@ from estimators.circuit.parameters import (
     untrained,
     with_quick_start,
 )
-from estimators.circuit.records import ANGLE_DIGITS, INNOVATION, ONE, RING
 from estimators.circuit.spikes import SpikingCircuit
 from estimators.networks.network import NetworkEstimator
 from quadsim.flight.mission import Mission

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from c_export import built
 
-from estimators.circuit.estimator import circuit_estimator
+from estimators.circuit.circuit_estimator import circuit_estimator
 from estimators.circuit.file import CircuitConfig, save_circuit
 from estimators.circuit.parameters import untrained
 from estimators.export.circuit_c import write_circuit_c

@@ -10,7 +10,7 @@ import pytest
 
 from estimators import create, run
 from estimators.evaluation.comparison import behind_the_best, evaluate, silenced_twin, tilted_starts
-from estimators.evaluation.figures import settling, violins
+from estimators.evaluation.error_figures import settling, violins
 from estimators.evaluation.flights import load_flights
 from estimators.metrics import attitude_error, inclination_error
 from quadsim.rotation import roll_pitch_from_quat

@@ -25,8 +25,8 @@ from quadsim.rotation import (
     roll_pitch_from_quat,
 )
 from quadsim.vehicle import GRAVITY
-from scenarios.log_report.page import write_log_report
-from scenarios.log_report.verdict import log_verdict
+from scenarios.log_report.log_page import write_log_report
+from scenarios.log_report.log_verdict import log_verdict
 
 FILTERS = ("mahony", "madgwick", "complementary", "eskf", "vqf")
 BIAS = np.array([0.06, -0.02, 0.01])

@@ -16,11 +16,11 @@ from paper.page.claims import (
     ratio,
     scatter,
 )
-from paper.page.figures import FIGURES
+from paper.page.paper_figures import FIGURES
 from paper.plan import CROSS, ITEMS, PRESETS, chosen, sizes_of, stages_of
 from paper.run import paper
 from paper.stages import NUMBERS, RECORD, Stage, run_stages, with_inputs
-from paper.work import networks
+from paper.work import trainings
 from quadsim.held_out import load_held_out
 from quadsim.runs.fingerprint import ROOT, closure
 
@@ -266,8 +266,8 @@ def test_a_ratio_of_the_same_flights_has_no_spread_if_they_are_paired():
 
 
 def test_a_trainings_fingerprint_does_not_depend_on_the_pages_code():
-    files = {path.relative_to(ROOT).as_posix() for path in closure([Path(networks.__file__)], ROOT)}
-    assert "training/loop.py" in files
+    files = {path.relative_to(ROOT).as_posix() for path in closure([Path(trainings.__file__)], ROOT)}
+    assert "training/epochs.py" in files
     assert not any(file.startswith(("paper/page/", "paper/plan", "scenarios/")) for file in files)
 
 

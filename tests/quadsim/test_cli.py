@@ -13,7 +13,7 @@ from quadsim.cli import app, main
 from quadsim.cli.catalogue import HOW
 from quadsim.cli.options import pair_of
 from quadsim.runs.record import load_record
-from training.loop import INTERRUPTED
+from training.epochs import INTERRUPTED
 
 VERBS = [
     *("generate", "train", "tune", "evaluate", "fly", "bench", "report", "export"),
@@ -272,7 +272,7 @@ def test_bench_leaves_the_slow_out_and_its_reports_say_how_they_were_made(printe
 def test_ctrl_c_exits_as_interrupted_also_where_a_training_ends_in_order(quadsim, monkeypatch):
     best = SimpleNamespace(epoch=0)
     stopped = SimpleNamespace(best=best, weights="run/best.safetensors", reason=INTERRUPTED, before=None)
-    monkeypatch.setattr("training.loop.train", lambda *_, **__: stopped)
+    monkeypatch.setattr("training.epochs.train", lambda *_, **__: stopped)
     code, out, err = quadsim("train", "--preset", "paper", "--data", "data.zarr", "--out", "run")
     assert code == 130
     assert "interrupted; finished work stays" in err

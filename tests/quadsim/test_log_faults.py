@@ -9,7 +9,7 @@ from sensor import GRAVITY, readings, report_of
 from typer.testing import CliRunner
 
 from quadsim.cli import app
-from quadsim.logs.faults import find_faults
+from quadsim.logs.log_faults import find_faults
 from quadsim.logs.recording import Recording
 from quadsim.logs.resample import resample
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from quadsim.control.attitude_controller import attitude_set_point
 from quadsim.control.cascade import Controller, control
-from quadsim.control.own import attitude_set_point
 from quadsim.control.records import MEASURED, SET_POINT
 from quadsim.flight.mission import Mission
 from quadsim.flight.scenario import load_scenario

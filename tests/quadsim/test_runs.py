@@ -100,7 +100,7 @@ def test_digest_follows_the_code_and_not_its_comments():
     before = read_source('def f(x):\n    """Doc."""\n    return x + 1\n').digest
     assert read_source("def f(x):  # a comment\n    return (x +\n            1)\n").digest == before
     assert read_source("def f(x):\n    return x + 2\n").digest != before
-    assert code_digest("quadsim.flight") != code_digest("quadsim.flight", "training.loop")
+    assert code_digest("quadsim.flight") != code_digest("quadsim.flight", "training.epochs")
     assert fingerprint({"a": 1, "b": [2.5]}) == fingerprint({"b": [2.5], "a": 1})
 
 

@@ -15,7 +15,7 @@ from quadsim.held_out import SEEDS, load_held_out, releases, unreserved
 from scenarios.bench.cell import FlightSettings
 from scenarios.bench.experiment import draw, load_experiment
 from scenarios.bench.runner import bench
-from training.loop import train
+from training.epochs import train
 
 NEWEST = load_held_out(releases()[-1])
 SUITE = load_experiment("held-out")

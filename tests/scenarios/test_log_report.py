@@ -10,13 +10,13 @@ import pytest
 from estimators import create
 from estimators.evaluation.beliefs import Beliefs, Interval
 from estimators.evaluation.logs import RAW, LogScores, score_logs
-from quadsim.logs.faults import SensorFault
+from quadsim.logs.log_faults import SensorFault
 from quadsim.logs.recording import Recording
 from quadsim.logs.resample import resample
 from quadsim.rotation import quat_from_roll_pitch
 from quadsim.vehicle import GRAVITY
-from scenarios.log_report.page import MOST_SAMPLES, write_log_report
-from scenarios.log_report.verdict import log_verdict
+from scenarios.log_report.log_page import MOST_SAMPLES, write_log_report
+from scenarios.log_report.log_verdict import log_verdict
 
 
 def log(name: str, bias: float | np.ndarray = 0.0, seconds: float = 40.0):

@@ -12,7 +12,7 @@ from quadsim.flight.vehicle_faults import PayloadDrop
 from quadsim.rotation import euler_from_quat, quat_from_euler, quat_normalize
 from quadsim.wind import Constant
 from scenarios.bench.cell import CELL, fly, make_cell
-from scenarios.bench.series import SIGNAL_LEVELS
+from scenarios.bench.flight_series import SIGNAL_LEVELS
 
 STEP = GyroBiasStep(kind="gyro-bias-step", bias_deg=(3.0, -2.0, 0.0), at_s=1.0)
 WIND = Constant(kind="constant", velocity=(3.0, 1.0, 0.0))

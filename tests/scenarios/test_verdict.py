@@ -304,9 +304,30 @@ def test_the_headline_has_a_clause_for_each_condition():
     ]
     assert found.lines[-1] == recommendation().elsewhere
     alone = verdict(designed({"imm": [good] * 4, "vqf": [poor] * 4}))
-    assert alone.headline == ("On these 4 combinations fly imm, whether the airframe's drag is known or not.")
+    assert alone.headline == (
+        "On these 4 combinations fly imm, whether the airframe's drag is known or not (no crash in 16 "
+        "flights)."
+    )
     at_worst = verdict(designed({"drag": [good, poor, poor, good], "imm": [good] * 4})).standings[1]
     assert at_worst.texts["at worst"] == "drag: half of what is known, 3.05°"
+
+
+def test_the_headline_names_what_is_recommended_on_every_condition_with_its_crashes():
+    good, close, poor = [1.0, 1.1, 1.0, 1.1], [1.1, 1.0, 1.1, 1.0], [3.0, 3.1, 3.0, 3.1]
+    one_lost = [1.0, crash(5.0), 1.0, 1.1]
+    found = verdict(
+        designed(
+            {"drag": [one_lost, poor, poor, poor], "imm": [one_lost, good, good, good], "vqf": [poor] * 4}
+        )
+    )
+    assert found.lines[0].startswith("With the airframe's drag known: fly vqf (no crash")
+    assert "fly vqf where the airframe's drag is known, imm where it is half" in found.headline
+    found = verdict(designed({"drag": [one_lost, close, poor, poor], "imm": [one_lost, good, good, good]}))
+    assert found.lines[0].startswith("With the airframe's drag known: fly drag or imm (crashed in 1 of 4")
+    assert found.headline == (
+        "On these 4 combinations fly imm, whether the airframe's drag is known or not (crashed in 1 of 16 "
+        "flights)."
+    )
 
 
 def test_no_estimator_that_crashes_in_most_flights_is_recommended_on_any_condition():
@@ -342,7 +363,7 @@ def test_a_part_of_the_held_out_suite_is_not_the_recommendation(monkeypatch):
         levels={name: case.levels for name, case in cases.items()},
     )
     found = verdict(whole)
-    assert found.headline == "Fly imm, whether the airframe's drag is known or not."
+    assert found.headline == "Fly imm, whether the airframe's drag is known or not (no crash in 192 flights)."
     assert not any("recommendation" in line or "In general" in line for line in found.lines)
     only_imm = [cell for cell in whole.cells if cell.estimator == "imm"]
     shorter = {k: s.model_copy(update={"duration_s": 1.0}) for k, s in whole.scenarios.items()}

@@ -4,7 +4,7 @@ import base64
 
 import numpy as np
 
-from scenarios.bench.series import MISSING
+from scenarios.bench.flight_series import MISSING
 
 
 def unpack_series(series):

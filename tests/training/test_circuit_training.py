@@ -11,7 +11,7 @@ from training.circuit.gradient import loss_and_gradient
 from training.circuit.streams import StreamBatch, bias_of, draw_streams, held, sway
 from training.config import CircuitTraining, make_config
 from training.data import load_training_flights
-from training.loop import INTERRUPTED, train
+from training.epochs import INTERRUPTED, train
 
 
 def batch(seed=0, steps=200, n=6):

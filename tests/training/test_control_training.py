@@ -15,11 +15,11 @@ from quadsim.trajectory.specs import Hover
 from quadsim.vehicle import GRAVITY
 from training.config import ControlSettings, make_config
 from training.control.excitation import Excitation, set_point_excitation
-from training.control.flights import fly, thrust_axis, thrust_axis_error, with_motion
+from training.control.labelled_flights import fly, thrust_axis, thrust_axis_error, with_motion
 from training.control.task import ControlTask, read_flights, windows
 from training.data import network_inputs
+from training.epochs import INTERRUPTED, Training, train
 from training.init import initialise_controller
-from training.loop import INTERRUPTED, Training, train
 from training.models import AttSNN
 
 TINY = {

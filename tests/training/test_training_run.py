@@ -17,10 +17,10 @@ from quadsim.dataset.generation import generate
 from quadsim.flight.recipe import load_recipe
 from quadsim.runs.fingerprint import code_digest
 from quadsim.runs.record import commit
-from training import loop
+from training import epochs
 from training.config import make_config
 from training.data import AttitudeTask, network_inputs, windows
-from training.loop import train
+from training.epochs import train
 from training.optim import finished, total_cost
 
 TINY = {
@@ -95,7 +95,7 @@ def test_the_folder_of_another_run_is_refused_in_one_line(dataset, tmp_path):
     choices = {"data": dataset, "out": tmp_path, "epochs": 1}
     choices |= {"batches": 1, "batch_size": 1, "window_s": 0.1}
     train(**choices)
-    assert json.loads((tmp_path / "contents.json").read_text())["code"] == code_digest("training.loop")
+    assert json.loads((tmp_path / "contents.json").read_text())["code"] == code_digest("training.epochs")
     for file, change, message in (
         ("config.json", {"of_before": 1.0}, "a run of another version of quadsim, choose another folder$"),
         ("config.json", {"epochs": 9}, "a run with another configuration, choose another folder$"),
@@ -141,7 +141,7 @@ def test_a_checkpoint_of_another_version_is_refused_in_one_line(dataset, tmp_pat
 
 
 def test_a_loss_that_is_not_a_number_stops_the_run(dataset, tmp_path, monkeypatch):
-    monkeypatch.setattr(loop, "error_loss", lambda estimate, *_: estimate.sum() * float("nan"))
+    monkeypatch.setattr(epochs, "error_loss", lambda estimate, *_: estimate.sum() * float("nan"))
     with pytest.raises(ValueError, match="the loss is nan at epoch 0, update 0"):
         train(data=dataset, out=tmp_path, **TINY)
 
@@ -154,7 +154,7 @@ def test_weights_that_are_not_numbers_stop_the_run_and_keep_the_best(dataset, tm
 
     def after_one(epoch, config):
         rows.append(epoch)
-        monkeypatch.setattr(loop.AttSNN, "constrain", spoil)
+        monkeypatch.setattr(epochs.AttSNN, "constrain", spoil)
 
     result = train(data=dataset, out=tmp_path, progress=after_one, **TINY | {"batches": 1})
     assert result.reason == "training diverged: the weights are not finite after epoch 1"
@@ -163,7 +163,7 @@ def test_weights_that_are_not_numbers_stop_the_run_and_keep_the_best(dataset, tm
 
 
 def test_a_run_that_stopped_early_has_nothing_left_to_do(dataset, tmp_path, monkeypatch):
-    monkeypatch.setattr(loop, "finished", lambda losses: "enough" if len(losses) >= 2 else None)
+    monkeypatch.setattr(epochs, "finished", lambda losses: "enough" if len(losses) >= 2 else None)
     choices = TINY | {"data": dataset, "out": tmp_path, "batches": 1}
     assert train(**choices | {"out": tmp_path / "to-the-end"}).reason == "all 3 epochs done"
     first = train(**choices | {"optimisation": "paper"})
@@ -191,7 +191,7 @@ def test_fixed_time_constants_stay_and_do_not_count_in_the_gradients_norm(datase
     for name in ("syn0", "mem0", "syn1", "mem1", "syn2", "mem2"):
         assert np.unique(tensors[name]).size == 1
     config = make_config(**choices)
-    training = loop.Training(config, AttitudeTask(config))
+    training = epochs.Training(config, AttitudeTask(config))
     training.begin()
     frozen = {name for name, p in training.model.named_parameters() if not p.requires_grad}
     assert frozen == {"syn0", "mem0", "syn1", "mem1", "syn2", "mem2"}
@@ -222,7 +222,7 @@ def begun(dataset):
     """A run in float64, and its first batches."""
     config = make_config(data=dataset, **TINY | {"rate_cost": 0.5})
     task = AttitudeTask(config)
-    training = loop.Training(config, task)
+    training = epochs.Training(config, task)
     training.begin()
     training.model.double()
     return training, list(windows(task.flights, config, 100, (0, 1)))

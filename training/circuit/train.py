@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from estimators.circuit.estimator import circuit_estimator
+from estimators.circuit.circuit_estimator import circuit_estimator
 from estimators.circuit.file import CircuitConfig, load_circuit, save_circuit
 from estimators.circuit.floats import run_floats, stepped
 from estimators.circuit.parameters import LEARNT, OUTPUT, RATE_HZ, Parameters, untrained, with_quick_start
@@ -34,7 +34,7 @@ NOISE = 1.0
 
 
 class CircuitLearner:
-    """A circuit that learns, with the methods of `training.loop.Training`.
+    """A circuit that learns, with the methods of `training.epochs.Training`.
 
     Args:
         config: Of the run.

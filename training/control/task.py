@@ -21,10 +21,10 @@ from ..config import TrainConfig
 from ..data import Batch, network_inputs
 from ..init import initialise_controller
 from ..models import AttSNN
-from .flights import RATE_HZ, SIGNALS, ControlFlights, fly, joined
+from .labelled_flights import RATE_HZ, SIGNALS, ControlFlights, fly, joined
 
 if TYPE_CHECKING:
-    from ..loop import Student
+    from ..epochs import Student
 
 FLIGHTS, VALIDATION, INITIAL, WINDOWS = range(4)
 """Children of a run's seed."""
@@ -37,7 +37,7 @@ INITIAL_S = 6.0
 
 
 class ControlTask:
-    """Angular accelerations of a teacher, from set-points and readings; see `training.loop.Task`.
+    """Angular accelerations of a teacher, from set-points and readings; see `training.epochs.Task`.
 
     Args:
         config: Of the run.

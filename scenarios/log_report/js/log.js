@@ -11,7 +11,7 @@ const shown = new Set(data.shown);
 let log = data.logs[$("log").value];
 
 /* Traces are 16-bit integers times a scale, one channel after the other: their differences, low bytes before high
-   ones, compressed (`compress_flights` in scenarios/bench/series.py). */
+   ones, compressed (`compress_flights` in scenarios/bench/flight_series.py). */
 async function unpack() {
   const packed = Uint8Array.from(atob($("packed").textContent), (character) => character.charCodeAt(0));
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));

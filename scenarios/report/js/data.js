@@ -20,7 +20,7 @@ export const dotOf = (name) => legendKey(data.looks[name]);
 
 /* Flights in time are 16-bit integers times a scale, one channel of one cell after the other, then those that are the
    same with every estimator of a scenario. The page holds their
-   differences, low bytes before high ones, compressed (`compress_flights` in scenarios/bench/series.py). */
+   differences, low bytes before high ones, compressed (`compress_flights` in scenarios/bench/flight_series.py). */
 const MISSING = -32768;
 export async function unpack() {
   const packed = Uint8Array.from(atob(document.getElementById("flights").textContent), (character) => character.charCodeAt(0));

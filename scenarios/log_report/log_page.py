@@ -18,10 +18,10 @@ from estimators.metrics import inclination_error
 from quadsim.dataset.stretches import stretches
 from quadsim.runs.files import write_whole
 
-from ..bench.series import FlightSeries, compress_flights, pack_channel
+from ..bench.flight_series import FlightSeries, compress_flights, pack_channel
 from ..report.page import described, script, uplot
 from ..report.template import render
-from .verdict import log_verdict
+from .log_verdict import log_verdict
 
 Array = NDArray[np.float64]
 

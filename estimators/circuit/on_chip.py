@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..loihi.chip import CORES, LIMITS
-from .records import ANGLE_DIGITS, FORCE_DIGITS, RING, Circuit
+from .circuit_records import ANGLE_DIGITS, FORCE_DIGITS, RING, Circuit
 
 SIGNS, AXES = 2, 3
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from training.config import make_config
-from training.loop import run
+from training.epochs import run
 
 from ..stages import FLIGHTS, Inputs, Numbers
 

@@ -8,8 +8,8 @@ from quadsim.runs.compiled import njit
 
 from ..networks.encoder import ENCODER, INPUT_ONE, Scaling, encode_sample
 from ..networks.network import NetworkEstimator
-from .chip import place
 from .floats import FloatCircuit
+from .on_chip import place
 from .parameters import GRAVITY, OUTPUT, RATE_HZ, Parameters, quantised
 from .spikes import SpikingCircuit
 

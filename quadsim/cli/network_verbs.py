@@ -12,7 +12,7 @@ from ..runs.record import command_line
 from .options import LearningSeed, fields_of
 
 if TYPE_CHECKING:
-    from training.loop import Config
+    from training.epochs import Config
     from training.run_folder import Epoch
 
 TRAINED = ("model", "preset", "data", "validation", "seed", "out", "progress")
@@ -71,8 +71,8 @@ def train(
         choices["epochs"] = epochs
     if validation:
         choices["validation"] = tuple(map(str, validation))
-    from training.loop import INTERRUPTED
-    from training.loop import train as train_network
+    from training.epochs import INTERRUPTED
+    from training.epochs import train as train_network
 
     with progress_bar(f"train {preset}", "epochs") as bar:
 

@@ -117,8 +117,8 @@ def _report_dataset(path: Path, verify: bool, out: Path | None) -> None:
 
 def _report_circuit(path: str, data: list[Path]) -> None:
     from estimators.analysis.circuit import measure
-    from estimators.circuit.chip import place, populations
     from estimators.circuit.file import load_circuit
+    from estimators.circuit.on_chip import place, populations
     from estimators.circuit.parameters import quantised
 
     config, parameters = load_circuit(path)
