@@ -14,7 +14,7 @@ from simulated import estimate_of, simulated
 
 from estimators import create
 from estimators.analysis.circuit import measure
-from estimators.circuit.circuit_estimator import SCALING, Level, circuit_estimator
+from estimators.circuit.circuit_estimator import SCALING, Silent, circuit_estimator
 from estimators.circuit.circuit_records import ANGLE_DIGITS, no_spikes, state_of
 from estimators.circuit.file import load_circuit
 from estimators.circuit.floats import new_trace, run_floats, stepped
@@ -83,7 +83,7 @@ def estimators(home: Flights) -> dict[str, AttitudeEstimator]:
         "spikes": spiking(p, config.steps_per_sample),
         "2 steps": spiking(p, 2),
         "1 step": spiking(p, 1),
-        "silenced": NetworkEstimator(Level(), RATE_HZ),
+        "silenced": NetworkEstimator(Silent(), RATE_HZ),
         "att-snn-paper": create("att-snn-paper"),
         "att-rnn-paper": create("att-rnn-paper"),
         "vqf": create("vqf"),

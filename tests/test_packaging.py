@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from quadsim.runs.compiled import BESIDE, Place, store
+from quadsim.runs.compiled import BESIDE, CacheFolder, store
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("quadsim", "estimators", "training", "scenarios", "paper", "assets")
@@ -54,7 +54,7 @@ def copy_compiled(code):
     """Fill an installation's folder for compiled code with ours: what was copied is not compiled again."""
     for inside in {file.parent for package in PACKAGES for file in (ROOT / package).rglob("*.py")}:
         name = "-".join(inside.relative_to(ROOT).parts)
-        ours = name if store() == BESIDE else Place.get_suitable_cache_subpath(str(inside / "any.py"))
+        ours = name if store() == BESIDE else CacheFolder.get_suitable_cache_subpath(str(inside / "any.py"))
         if (store() / ours).is_dir():
             shutil.copytree(store() / ours, code / name)
 

@@ -40,7 +40,7 @@ def circuit_estimator(name: str, p: Parameters, steps: int = 4, rate_hz: float =
     return NetworkEstimator(SpikingCircuit(SCALING, circuit, OUTPUT, steps, p.scale[OUTPUT]), RATE_HZ)
 
 
-class Level:
+class Silent:
     """Any network with a silent output: the estimate is always level. A `NetworkCore`."""
 
     outputs = 3

@@ -72,7 +72,7 @@ class Circuit(NamedTuple):
     start: Int32s  #: z of each vector at the start (V,)
 
 
-class State(NamedTuple):
+class CircuitState(NamedTuple):
     """What a copy keeps from step to step, as parts of its row of numbers."""
 
     angle: Int32s  #: of the gyroscope, that no spike has yet represented (3,)
@@ -114,7 +114,7 @@ def no_spikes(vectors, gates):
 
 @njit(inline="always")
 def state_of(row, vectors, gates):
-    """`State` of a row of numbers, which begins with the encoder's."""
+    """`CircuitState` of a row of numbers, which begins with the encoder's."""
     v, q = 3 * vectors, 3 * gates
     at = MISSING + 7
     x, y, turned = row[at : at + v], row[at + v : at + 2 * v], row[at + 2 * v : at + 3 * v]
@@ -123,7 +123,7 @@ def state_of(row, vectors, gates):
     at += 3 * q
     felt, gate = row[at : at + 9], row[at + 9 : at + 9 + gates]
     at += 9 + gates
-    return State(
+    return CircuitState(
         row[MISSING + 1 : MISSING + 4],
         row[MISSING + 4 : MISSING + 7],
         x.reshape(3, vectors),

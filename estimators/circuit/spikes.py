@@ -54,7 +54,7 @@ from .circuit_records import (
     RING,
     TURN_BITS,
     Circuit,
-    State,
+    CircuitState,
     circuit_of,
     no_spikes,
     state_of,
@@ -77,7 +77,7 @@ class SpikingCircuit:
     def __init__(self, scaling: Scaling, circuit: Circuit, output: int, steps: int, unit: float) -> None:
         vectors, gates = len(circuit.start), len(circuit.gate)
         sizes = [3, 3, *[3 * vectors] * 3, *[3 * gates] * 3, 9, gates, 12, 1, len(EVENTS)]
-        kept = zip(State._fields, sizes, strict=True)
+        kept = zip(CircuitState._fields, sizes, strict=True)
         self.state = np.dtype([*encoder_fields(np.int32), *((name, np.int32, size) for name, size in kept)])
         settings = np.array([*np.ravel(scaling), steps, output, unit / ONE, vectors, gates])
         self.arrays = settings, np.concatenate([np.ravel(each) for each in circuit])

@@ -46,7 +46,7 @@ class Beliefs:
         """Median of the standard deviation of roll and pitch [deg]."""
         return float(np.degrees(np.median(self.sigma)))
 
-    def interval(self, truth: Array, counted: NDArray[np.bool_] | None = None) -> "Interval":
+    def interval(self, truth: Array, counted: NDArray[np.bool_] | None = None) -> "Coverage":
         """The 95 % interval beside the error, over the angles that are known; NaN if none is.
 
         Args:
@@ -58,13 +58,13 @@ class Beliefs:
         if counted is not None:
             known &= counted[:, self.samples, None]
         if not known.any():
-            return Interval(float("nan"), float("nan"), float("nan"))
+            return Coverage(float("nan"), float("nan"), float("nan"))
         inside = (error <= NORMAL_95 * self.sigma)[known].mean()
         rmse, sigma = np.degrees([np.sqrt(np.mean(error[known] ** 2)), np.median(self.sigma[known])])
-        return Interval(float(inside), float(sigma), float(rmse))
+        return Coverage(float(inside), float(sigma), float(rmse))
 
 
-class Interval(NamedTuple):
+class Coverage(NamedTuple):
     """How honest a 95 % interval is."""
 
     inside: float

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from quadsim.estimator import AttitudeEstimator, receives_truth
 from quadsim.runs.files import write_csv
 
-from ..circuit.circuit_estimator import Level
+from ..circuit.circuit_estimator import Silent
 from ..circuit.file import is_circuit
 from ..metrics import (
     Summary,
@@ -266,7 +266,7 @@ def silenced_twin(name: str, rate_hz: float = 200.0) -> NetworkEstimator | None:
     if name not in (*NETWORKS, *shipped_names()) and not is_weights(name):
         return None
     if is_circuit(name):
-        return NetworkEstimator(Level(), rate_hz)
+        return NetworkEstimator(Silent(), rate_hz)
     config, tensors = load_network(name)
     core = {"att-rnn": Recurrent, "att-snn": Spiking}[config.model]
     return NetworkEstimator(core(config, silenced(config, tensors)), rate_hz)

@@ -21,7 +21,7 @@ from quadsim.logs.truth import GyroBias, bias_by_truth
 
 from ..metrics import inclination_error
 from ..registry import FILTERPY, names, needs_vehicle
-from .beliefs import Beliefs, Interval, beliefs
+from .beliefs import Beliefs, Coverage, beliefs
 from .comparison import COLUMNS, Evaluation, Progress, assessed, errors_of, failed, made_of
 from .flights import Flights, load_flights
 from .without_truth import LEVEL, Comparison, compare, motion
@@ -83,7 +83,7 @@ class ScoredLog:
         removed = f"{', '.join(axes)} removed" if axes else "not significant, nothing is removed"
         return f"gyro bias ({shown}) °/s at 95 %: {removed}"
 
-    def interval(self, name: str) -> Interval:
+    def interval(self, name: str) -> Coverage:
         """How honest the interval of an estimator with beliefs is where the truth counts."""
         return self.beliefs[name].interval(self.truth[None], self.counted[None])
 

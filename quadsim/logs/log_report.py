@@ -9,7 +9,7 @@ import numpy as np
 from ..runs.console import print_table, say
 from .cleaning import LONGEST_GAP_S
 from .log_faults import SensorFault
-from .mounting import Level, Rest
+from .mounting import MeanForce, Rest
 from .recording import TruthAxes, mount_text
 from .truth import Alignment
 
@@ -112,7 +112,7 @@ class LogReport:
     """Mean specific force, turned to the world by the truth [m/s²]: (0, 0, 9.81) where frames agree."""
     aligned: Alignment | None
     """How the truth turns beside the gyroscope; None where there is too little motion."""
-    level: Level | None
+    level: MeanForce | None
     """Where the specific force points; None where no second is complete, or a truth of the body shows it
     better."""
     rest: Rest | None

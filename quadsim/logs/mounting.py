@@ -34,7 +34,7 @@ LARGEST_SD_DEG = 5.0
 """An estimate that is less certain about an axis is refused [deg]."""
 
 
-class Level(NamedTuple):
+class MeanForce(NamedTuple):
     """Where the specific force points on average."""
 
     force: Array
@@ -81,7 +81,7 @@ class MountEstimate(NamedTuple):
     """Whether the tilt is that of the mean force, because the bias hides a part of the IMU's tilt."""
 
 
-def level(gyro: Array, accel: Array, rate_hz: float) -> Level | None:
+def level(gyro: Array, accel: Array, rate_hz: float) -> MeanForce | None:
     """Mean specific force of the seconds of hover, or of all where there are too few; None without any."""
     rates, forces = (blocks_of(each, round(rate_hz)) for each in (gyro, accel))
     complete = np.isfinite(rates).all(axis=(1, 2)) & np.isfinite(forces).all(axis=(1, 2))
@@ -95,7 +95,7 @@ def level(gyro: Array, accel: Array, rate_hz: float) -> Level | None:
     forces = forces[hover] if alone else forces
     mean = forces.mean(axis=0)
     scatter = forces.std(axis=0) / np.sqrt(len(forces)) / max(float(np.linalg.norm(mean)), 1e-9)
-    return Level(mean, float(np.degrees(np.linalg.norm(scatter))), len(forces), alone)
+    return MeanForce(mean, float(np.degrees(np.linalg.norm(scatter))), len(forces), alone)
 
 
 def turn_at_rest(gyro: Array, accel: Array, rate_hz: float) -> Rest | None:
@@ -146,7 +146,7 @@ def estimate_mount(log: xr.Dataset, given: str | None = None, from_level: bool =
     return found if given is None else found._replace(body_from_imu=found.body_from_imu @ mount_matrix(given))
 
 
-def mount_from_level(found: Level | None) -> MountEstimate:
+def mount_from_level(found: MeanForce | None) -> MountEstimate:
     """The mounting at which the mean force is along body z; its heading is taken as zero.
 
     The standard deviation is that of the mean and of an accelerometer's bias.

@@ -56,11 +56,11 @@ def njit(*function: Callable[..., Any], cache: bool = False, **options: Any) -> 
     return decorate(*function) if function else decorate
 
 
-class Place(caching.UserProvidedCacheLocator):
+class CacheFolder(caching.UserProvidedCacheLocator):
     """Where the code of a function is stored, and what source it is of."""
 
     @classmethod
-    def from_function(cls, py_func: Callable[..., Any], py_file: str) -> "Place":
+    def from_function(cls, py_func: Callable[..., Any], py_file: str) -> "CacheFolder":
         """The place of a function of this file."""
         return cls(py_func, py_file)
 
@@ -82,7 +82,7 @@ class Place(caching.UserProvidedCacheLocator):
 class Stored(caching.CompileResultCacheImpl):
     """Numba's format of the files."""
 
-    _locator_classes = (Place,)
+    _locator_classes = (CacheFolder,)
 
 
 class StoredCode(caching.FunctionCache):

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimators.evaluation.beliefs import Interval
+from estimators.evaluation.beliefs import Coverage
 from estimators.evaluation.logs import KNOWN, LEVEL, RAW, LogScores
 
 CLEAR = 0.8
@@ -175,5 +175,5 @@ def _believed(scores: LogScores) -> Iterator[str]:
         if honest := [log.interval(name) for log in found if log.comparison is None]:
             covered, sigmas, errors = np.array(honest).T
             rmse = float(np.sqrt(np.nanmean(errors**2)))
-            inside = Interval(float(np.nanmean(covered)), float(np.nanmedian(sigmas)), rmse).text
+            inside = Coverage(float(np.nanmean(covered)), float(np.nanmedian(sigmas)), rmse).text
         yield f"{name} believed, in share of the time: {shown}; {inside}."

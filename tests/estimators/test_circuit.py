@@ -5,7 +5,7 @@ import pytest
 from controllers import samples
 
 from estimators import create
-from estimators.circuit.circuit_estimator import SCALING, Level, circuit_estimator
+from estimators.circuit.circuit_estimator import SCALING, Silent, circuit_estimator
 from estimators.circuit.circuit_records import ANGLE_DIGITS, INNOVATION, ONE, RING
 from estimators.circuit.file import CircuitConfig, is_circuit, load_circuit, save_circuit
 from estimators.circuit.floats import new_trace, run_floats, stepped
@@ -336,7 +336,7 @@ def test_an_absurd_sample_is_refused_and_half_a_second_without_samples_is_forgot
 
 
 def test_a_silent_output_is_level():
-    est = NetworkEstimator(Level(), RATE_HZ)
+    est = NetworkEstimator(Silent(), RATE_HZ)
     gyro, accel = samples(2, 50)
     gyro[0, 3] = np.nan
     est.reset(2)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from estimators import create
-from estimators.evaluation.beliefs import Beliefs, Interval
+from estimators.evaluation.beliefs import Beliefs, Coverage
 from estimators.evaluation.logs import RAW, LogScores, score_logs
 from quadsim.logs.log_faults import SensorFault
 from quadsim.logs.recording import Recording
@@ -118,7 +118,7 @@ def test_the_faults_of_a_recording_are_those_of_its_scores_and_table(tmp_path):
     ],
 )  # fmt: skip
 def test_a_wide_interval_or_a_large_error_does_not_reassure(inside, sigma, rmse, said):
-    assert Interval(inside, sigma, rmse).text == f"{inside:.0%} {INSIDE}{said}"
+    assert Coverage(inside, sigma, rmse).text == f"{inside:.0%} {INSIDE}{said}"
 
 
 def test_the_error_beside_an_interval_is_of_roll_and_pitch_where_they_count():

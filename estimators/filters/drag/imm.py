@@ -69,7 +69,7 @@ from .imm_model import (
     MULTIROTOR,
     STATE,
     USUAL_FIRST,
-    Interval,
+    Integrated,
     across_thrust,
     combine,
     correct_model,
@@ -197,7 +197,7 @@ def weigh(s, change):
 
 @njit
 def interval(s, p):
-    """The `Interval` that is over; the first with a specific force begins the models."""
+    """The `Integrated` that is over; the first with a specific force begins the models."""
     dt, turn = s.interval, rotation_vector(s.turn)
     rate = (turn[0] / dt, turn[1] / dt, turn[2] / dt)
     found = s.force_time > 0.5 * dt
@@ -211,7 +211,7 @@ def interval(s, p):
         begin_at(s, accel)
     thrust = thrust_of_rotors(s, p, dt, body[2]) if found and s.rotor_time > 0.5 * dt else body[2]
     resting = found and at_rest(s, dt, rate, body)
-    return Interval(dt, turn, rate, s.unseen, found, accel, body, thrust, arm, resting)
+    return Integrated(dt, turn, rate, s.unseen, found, accel, body, thrust, arm, resting)
 
 
 @njit

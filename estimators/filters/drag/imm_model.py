@@ -72,7 +72,7 @@ FREEDOM = 4.0
 """Degrees of freedom of Student's t."""
 
 
-class Interval(NamedTuple):
+class Integrated(NamedTuple):
     """Readings since the last update of the models, in compiled code."""
 
     dt: float

@@ -42,7 +42,7 @@ class Time(Strict):
         return self
 
 
-class Sensor(Strict):
+class Columns(Strict):
     """The columns of a sensor, or of roll, pitch and yaw (intrinsic z-y'-x'')."""
 
     columns: tuple[Column, ...]
@@ -50,7 +50,7 @@ class Sensor(Strict):
     """One of `UNITS`."""
 
 
-class Accel(Sensor):
+class Accel(Columns):
     """The three columns of the accelerometer."""
 
     negate: bool = False
@@ -82,25 +82,25 @@ class Table(Strict):
     truth_axes: TruthAxes = "body"
     """Whose attitude the file holds: of the frame already, or of the IMU, which the mount rotates too."""
     time: Time
-    gyro: Sensor
+    gyro: Columns
     accel: Accel
     quat: Quat | None = None
-    euler: Sensor | None = None
+    euler: Columns | None = None
     """True attitude as roll, pitch and yaw, intrinsic z-y'-x''."""
     position: tuple[Column, Column, Column] | None = None
     """Columns of the position [m]."""
-    rotor_vel: Sensor | None = None
+    rotor_vel: Columns | None = None
     """One column a rotor."""
-    mag: Sensor | None = None
+    mag: Columns | None = None
 
     @model_validator(mode="after")
     def _check(self) -> "Table":
         mount_matrix(self.mount)
         for name, units in UNITS.items():
-            part: Time | Sensor | None = getattr(self, name)
+            part: Time | Columns | None = getattr(self, name)
             if part is not None and part.unit not in (None, *units):
                 raise ValueError(f'{name}.unit = "{part.unit}": should be {" or ".join(units)}')
-            if isinstance(part, Sensor) and name != "rotor_vel" and len(part.columns) != 3:
+            if isinstance(part, Columns) and name != "rotor_vel" and len(part.columns) != 3:
                 raise ValueError(f"{name}.columns: {len(part.columns)}; three are required")
         if self.quat is not None and self.euler is not None:
             raise ValueError("one of quat and euler is required, not both")
@@ -126,7 +126,7 @@ def read_table(path: Path) -> Recording:
         return values[:, [_index(file, names, values.shape[1], each) for each in wanted]]
 
     def read(name: str) -> Array:
-        part: Sensor = getattr(spec, name)
+        part: Columns = getattr(spec, name)
         return columns(part.columns) * UNITS[name][part.unit or next(iter(UNITS[name]))]
 
     time = np.arange(len(values)) / (spec.time.rate_hz or 1.0)
