@@ -19,7 +19,15 @@ from ..flight.mission import Mission
 from ..flight.scenario import Scenario, changed
 from ..pictures.render import Image, Scene, View
 from .made import Made, controller_for, made_for, scenario_for
-from .spaces import OBSERVATION, OBSERVATION_SPACE, action_scale, hidden_dtype, observe, to_command
+from .spaces import (
+    INFORMATION,
+    OBSERVATION,
+    OBSERVATION_SPACE,
+    action_scale,
+    observe,
+    outcome_dtype,
+    to_command,
+)
 
 Array = NDArray[np.float64]
 MOST = 100_000
@@ -93,9 +101,9 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         else:
             self.mission.restart(every, self._seeds(every))
             self.mission.sense()
-        observation, *_, hidden = self.observe()
+        observation, outcome = self.observe()
         self.done[:], self._ended = False, 0  # also where a start is beyond the limits
-        return observation, _masked(hidden)
+        return observation, self._masked(outcome)
 
     def _choose(self, options: dict[str, Any] | None) -> bool:
         """Take the scenario that options ask for, or the environment's own; whether it is another one.
@@ -125,7 +133,7 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
     def _take(self, mission: Mission) -> None:
         self.scale = action_scale(self._level, mission.vehicle)
         self.mission, self._hover_rotor_vel = mission, mission.vehicle.hover_rotor_vel
-        self._hidden = hidden_dtype(len(mission.vehicle.rotors))
+        self._outcome = outcome_dtype(len(mission.vehicle.rotors))
 
     def _seeds(self, ids: NDArray[np.int64]) -> list[np.random.SeedSequence]:
         """Seeds of the next flights of some vehicles."""
@@ -136,16 +144,14 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
     ) -> tuple[NDArray[np.float32], NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
         """Advance one sample with actions (n, numbers); episodes that ended in the last step restart."""
         actions = shaped(actions, (self.num_envs, *self.scale.shape))
-        observation, reward, crashed, over, hidden = self.advance(actions)
-        info = _masked(hidden)
+        observation, outcome = self.advance(actions)
+        info, crashed = self._masked(outcome), outcome["crashed"].copy()
         if crashed.any():
             info |= {"cause": self.mission.cause.copy(), "_cause": crashed.copy()}
-        return observation, reward, crashed, over, info
+        return observation, outcome["reward"].copy(), crashed, outcome["over"].copy(), info
 
-    def advance(
-        self, actions: Array
-    ) -> tuple[NDArray[np.float32], Array, NDArray[np.bool_], NDArray[np.bool_], NDArray[np.void]]:
-        """`step` with the information as records of `hidden_dtype`, all new arrays.
+    def advance(self, actions: Array) -> tuple[NDArray[np.float32], NDArray[np.void]]:
+        """Fly one sample: observations (n, 17) and records (n,) of `outcome_dtype`, both new.
 
         Raises:
             ValueError: An action is not finite, or there was no reset.
@@ -164,15 +170,16 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
             mission.step(self._level)
         return self.observe()
 
-    def observe(
-        self,
-    ) -> tuple[NDArray[np.float32], Array, NDArray[np.bool_], NDArray[np.bool_], NDArray[np.void]]:
-        """Observations (n, 17), rewards, crashes, ends and what agents do not see (n,) now, as new arrays."""
-        n, mission, seen = self.num_envs, self.mission, self._seen
-        hidden = np.empty(n, self._hidden)
-        reward, crashed, over = np.empty(n), np.empty(n, np.bool_), np.empty(n, np.bool_)
-        self._ended = observe(mission.records, mission.steps, self.done, seen, reward, hidden, crashed, over)
-        return self._observation.copy(), reward, crashed, over, hidden
+    def observe(self) -> tuple[NDArray[np.float32], NDArray[np.void]]:
+        """What `advance` returns, of the present sample."""
+        mission, outcome = self.mission, np.empty(self.num_envs, self._outcome)
+        self._ended = observe(mission.records, mission.steps, self.done, self._seen, outcome)
+        return self._observation.copy(), outcome
+
+    def _masked(self, outcome: NDArray[np.void]) -> dict[str, Any]:
+        """Information in Gymnasium's form: each key with a mask of the vehicles that have it."""
+        every = np.ones(self.num_envs, dtype=bool)
+        return {name: outcome[name] for name in INFORMATION} | {f"_{name}": every for name in INFORMATION}
 
     def render(self) -> tuple[Image, ...] | None:
         """A picture of every vehicle; None without a render mode."""
@@ -207,12 +214,6 @@ def shaped(action: ArrayLike, shape: tuple[int, ...]) -> Array:
     if action.shape != shape:
         raise ValueError(f"an action has shape {action.shape}; it must be {shape}")
     return action
-
-
-def _masked(hidden: NDArray[np.void]) -> dict[str, Any]:
-    """Information in Gymnasium's form: each key with a mask of the vehicles that have it."""
-    names, every = hidden.dtype.names or (), np.ones(len(hidden), dtype=bool)
-    return {name: hidden[name] for name in names} | {f"_{name}": every for name in names}
 
 
 def _whole(seed: int | None) -> int | None:

@@ -14,6 +14,7 @@ from ..flight.world import CAUSES
 from ..pictures.render import Image
 from .batch import QuadrotorVectorEnv, shaped
 from .made import Made
+from .spaces import INFORMATION
 
 
 class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
@@ -167,11 +168,14 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
         if self._batch.done[0]:
             raise ValueError("the episode is over; call reset to begin another")
         actions = shaped(action, self._batch.scale.shape)[None]
-        observation, reward, crashed, over, hidden = self._batch.advance(actions)
-        info = dict(zip(hidden.dtype.names or (), hidden.item(), strict=True))
-        if crashed[0]:
+        observation, outcome = self._batch.advance(actions)
+        row = outcome.item()
+        assert isinstance(row, tuple)
+        *hidden, reward, crashed, over = row
+        info = dict(zip(INFORMATION, hidden, strict=True))
+        if crashed:
             info["cause"] = CAUSES[self._batch.mission.cause[0]]
-        return observation[0], reward.item(), crashed.item(), over.item(), info
+        return observation[0], reward, crashed, over, info
 
     def render(self) -> Image | None:
         """A picture of the vehicle, (540, 960, 3); None without a render mode."""

@@ -26,8 +26,8 @@ OBSERVATION = np.dtype(
 
 
 @cache
-def hidden_dtype(rotors: int) -> np.dtype:
-    """What agents do not see, see the table of `QuadrotorEnv`."""
+def outcome_dtype(rotors: int) -> np.dtype:
+    """What a step returns beside the observation, see the tables of `QuadrotorEnv`: information first."""
     return np.dtype(
         [
             ("attitude", "f8", 3),
@@ -39,10 +39,15 @@ def hidden_dtype(rotors: int) -> np.dtype:
             ("rotor_vel", "f8", rotors),
             ("position_cost", "f8"),
             ("velocity_cost", "f8"),
+            ("reward", "f8"),
+            ("crashed", "?"),
+            ("over", "?"),
         ]
     )
 
 
+INFORMATION = (outcome_dtype(4).names or ())[:-3]
+"""Fields of an outcome that agents do not see."""
 POSITION_LIMIT, VELOCITY_LIMIT, ACCELERATION_LIMIT, RATE_LIMIT = 100.0, 50.0, 50.0, 50.0
 OBSERVATION_LIMIT = np.repeat(
     [POSITION_LIMIT, VELOCITY_LIMIT, ACCELERATION_LIMIT, np.pi, 1.0, RATE_LIMIT], [3, 3, 3, 3, 2, 3]
@@ -109,20 +114,15 @@ def _clip(value, limit):
 
 
 @njit(cache=True)
-def observe(loops, steps, done, observation, reward, hidden, crashed, over):
-    """Write what a step returns, (n,) each, see the tables of `QuadrotorEnv`; how many episodes have ended.
+def observe(loops, steps, done, observation, outcome):
+    """Write what a step returns, (n,) records of `OBSERVATION` and `outcome_dtype`; how many episodes ended.
 
     `done` (n,) says which had ended before this step, which have no reward, and then which have ended now.
     """
     ended = 0
     for i in range(observation.shape[0]):
-        out, row, flight, m, p = (
-            observation[i],
-            hidden[i],
-            loops[i].flight,
-            loops[i].measured,
-            loops[i].vehicle,
-        )
+        out, row = observation[i], outcome[i]
+        flight, m, p = loops[i].flight, loops[i].measured, loops[i].vehicle
         s, wanted = p.state, flight.target
         distance = speed = 0.0  # squared errors
         for j in range(3):
@@ -144,8 +144,8 @@ def observe(loops, steps, done, observation, reward, hidden, crashed, over):
         out.yaw_error = np.arctan2(np.sin(error), np.cos(error))
         out.heading[0], out.heading[1] = np.cos(m.yaw), np.sin(m.yaw)
         row.attitude[2], row.position_cost, row.velocity_cost = p.yaw, distance, 0.1 * speed
-        crashed[i], over[i] = flight.cause != FLYING, m.k >= steps
-        reward[i] = 0.0 if crashed[i] or done[i] else 1.0 / (1.0 + distance + 0.1 * speed)
-        done[i] = crashed[i] or over[i]
+        row.crashed, row.over = flight.cause != FLYING, m.k >= steps
+        row.reward = 0.0 if row.crashed or done[i] else 1.0 / (1.0 + distance + 0.1 * speed)
+        done[i] = row.crashed or row.over
         ended += done[i]
     return ended
