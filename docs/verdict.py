@@ -100,12 +100,13 @@ def ranges(held_out: HeldOut) -> list[str]:
 def values(part: Part, given: Namespace) -> Values:
     """Measure everything, and draw."""
     held_out = load_held_out(releases()[-1])
-    unseen, looked_at = verdict(fly("held-out")), fly("axes")
-    judged, sentence = verdict(looked_at), unseen.headline
+    unseen = verdict(fly("held-out"))
     command, today = "quadsim bench --experiment held-out", date.today().isoformat()
     save_recommendation(
-        Recommendation(release=held_out.release, command=command, date=today, sentence=sentence)
+        Recommendation(release=held_out.release, command=command, date=today, sentence=unseen.headline)
     )
+    looked_at = fly("axes")
+    judged = verdict(looked_at)  # which repeats the recommendation
     part.save(draw_levels(looked_at), "verdict-axes.png", dpi=110, colours=128)
     return {
         "release": held_out.release,
@@ -113,7 +114,7 @@ def values(part: Part, given: Namespace) -> Values:
         "scenarios": str(held_out.scenarios),
         "flights": str(held_out.flights),
         "ranges": ranges(held_out),
-        "recommendation": sentence,
+        "recommendation": unseen.headline,
         "advice": [f"- {line}" for line in unseen.lines],
         "standings": standing_rows(unseen),
         "cells": str(AXES.combinations),
