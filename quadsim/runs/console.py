@@ -48,7 +48,7 @@ class Bar(Protocol):
 
 @contextmanager
 def progress_bar(title: str, unit: str) -> Iterator[Bar]:
-    """A progress bar as a callback, with units per second and time left."""
+    """A progress bar as a callback, with time elapsed and left."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -63,9 +63,7 @@ def progress_bar(title: str, unit: str) -> Iterator[Bar]:
         task = bar.add_task(title, total=None, note="")
 
         def update(done: int, total: int, note: str = "") -> None:
-            speed = bar.tasks[0].finished_speed or bar.tasks[0].speed
-            rate = f", {speed:{'.0f' if speed >= 10 else '.2g'}}/s" if speed else ""
-            bar.update(task, completed=done, total=total, note=rate + (f", {note}" if note else ""))
+            bar.update(task, completed=done, total=total, note=f", {note}" if note else "")
 
         try:
             yield update
