@@ -7,7 +7,7 @@ has the standard deviation and the spectrum of the continuous process at any rat
 """
 
 from collections.abc import Sequence
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Literal, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,6 +28,15 @@ LOW_ALTITUDE = (10.0 * FOOT, 1000.0 * FOOT)
 """Altitudes between which the low-altitude model holds [m]; those outside are moved to the nearest end."""
 MIN_AIRSPEED = 1.0
 """Floor of the airspeed [m/s]: at rest relative to the air, turbulence would never change."""
+
+
+@runtime_checkable
+class Drawn(Protocol):
+    """A wind that is drawn for each flight; the others have `series`, and are the same in all flights."""
+
+    def flights(self, time: Array, rate_hz: float, seeds: Seeds) -> Array:
+        """Velocity of the air (n, T, 3) at times (T,) [s], a flight for each seed."""
+        ...
 
 
 class Constant(Strict):
@@ -235,7 +244,7 @@ def wind_series(specs: Sequence[WindSpec], n: int, steps: int, rate_hz: float, s
     wind, time = np.zeros((n, steps, 3)), np.arange(steps) / rate_hz
     parents, drawn = vehicle_seeds(seed, n), 0
     for spec in specs:
-        if isinstance(spec, Dryden | Sinusoid):
+        if isinstance(spec, Drawn):
             wind += spec.flights(time, rate_hz, [child(each, drawn) for each in parents])
             drawn += 1
         else:

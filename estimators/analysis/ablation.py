@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..evaluation.flights import Flights
 from ..metrics import attitude_error
 from ..networks.network import NetworkEstimator, Spiking
-from ..networks.weights_file import AXES, NetworkConfig, Tensors
+from ..networks.weights_file import AXES, EXPONENTS, NetworkConfig, Tensors
 
 Array = NDArray[np.float64]
 
@@ -20,9 +20,9 @@ def without(
 ) -> tuple[NetworkConfig, Tensors]:
     """The network of the connected neurons, indices of the encoding and of the hidden layer."""
     left = {name: np.sort(ids) for name, ids in zip(("encoding", "hidden"), keep, strict=True)}
-    smaller = dict(tensors)
+    smaller, axes = dict(tensors), AXES | dict.fromkeys(EXPONENTS.values(), ("hidden",))
     for name in tensors:
-        for k, axis in enumerate(AXES.get(name, ("hidden",))):  # exponents are of hidden neurons
+        for k, axis in enumerate(axes[name]):
             if axis in left:
                 smaller[name] = smaller[name].take(left[axis], k)
     return config.model_copy(update={name: ids.size for name, ids in left.items()}), smaller

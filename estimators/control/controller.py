@@ -40,7 +40,10 @@ from ..networks.weights_file import (
 Array = NDArray[np.float64]
 
 CASCADED = "cascaded"
-"""The cascade's own levels of attitude and body rate."""
+BUILT_IN: dict[str, tuple[str, MakeController | None]] = {
+    CASCADED: ("Attitude and body rate in cascade; gains designed for phase margins.", None),
+}
+"""Controllers that have no weights: what each is, and what makes it; None: the cascade's own levels."""
 GROUP = "quadsim.controllers"
 """Group of the entry points by which an installed package offers controllers."""
 LOIHI = "-loihi"
@@ -95,12 +98,12 @@ def make_controller(name: str | Path) -> MakeController | None:
         ValueError: There is no such controller.
     """
     name = str(name)
-    if name == CASCADED:
-        return None
+    if name in BUILT_IN:
+        return BUILT_IN[name][1]
     if is_controller(name):
         return partial(create_controller, name)
     if not is_own(name, GROUP):
-        known = nearest(name, [CASCADED, *shipped_controllers()])
+        known = nearest(name, [*BUILT_IN, *shipped_controllers()])
         raise ValueError(f'unknown controller "{name}"; {known}, or your own file.py:make')
     return load_own(name, GROUP)
 

@@ -24,7 +24,6 @@ HOW = {
     "weights": "--estimator NAME; quadsim report NAME; quadsim export NAME",
 }
 """Kinds of names that can be listed, and the commands and options that accept a name."""
-CASCADED = "Attitude and body rate in cascade; gains designed for phase margins."
 
 
 def list_names(
@@ -58,7 +57,10 @@ def _rows(kind: str) -> Iterable[tuple[str, str]]:
     if kind == "estimators":
         return [(name, each.description) for name, each in SHIPPED.items()]
     if kind == "controllers":
-        return [("cascaded", CASCADED), *_weights(shipped_controllers())]
+        from estimators.control.controller import BUILT_IN
+
+        built_in = [(name, description) for name, (description, _) in BUILT_IN.items()]
+        return [*built_in, *_weights(shipped_controllers())]
     if kind == "weights":
         return _weights([*shipped_names(), *shipped_controllers()])
     root = shipped_folder(kind)
