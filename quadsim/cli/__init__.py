@@ -18,7 +18,7 @@ from . import catalogue, data_verbs, flight_verbs, identification, network_verbs
 
 app = typer.Typer(
     name="quadsim",
-    help="Fly a simulated quadrotor on any attitude estimator, and see which one to trust.",
+    help="Fly a simulated quadrotor with attitude from any estimator, and see which one to trust.",
     epilog="Start here: quadsim demo --out reports/demo",
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},

@@ -75,7 +75,7 @@ def export(
         str,
         typer.Option(
             help="For a dataset: netcdf, parquet (one flat table), csv (EuRoC folders) or rosbag2. For "
-            "weights: nir (for Norse and snnTorch), c99 (header and source) or onnx (att-rnn only). "
+            "weights: c99 (spiking networks), nir (networks of layers) or onnx (GRU networks). "
             "For logs: zarr (a dataset)."
         ),
     ],

@@ -92,7 +92,8 @@ def bench(
         list[str] | None,
         typer.Option(
             help="Estimator: a name, weights (.safetensors) or your own file.py:Class; repeat the option "
-            "to add more. Default: all but ukf-filterpy, which is slow, and att-snn, which is att-snn-loihi."
+            "to add more. Default: all but ukf-filterpy, which is slow, and att-snn, whose results equal "
+            "att-snn-loihi's."
         ),
     ] = None,
     controller: Annotated[
@@ -116,7 +117,7 @@ def bench(
 
     A cell is one scenario with one estimator. Finished cells are stored, so the same command resumes a run
     that was stopped. If a cell cannot run, results.csv has the reason; the exit code is 2 only if no cell
-    ran. flights.parquet has a row for each flight, with its level of each condition.
+    ran. flights.parquet has a row for each flight, with its level of each varied condition.
 
     To use several machines, install quadsim[cluster] on each. Start `dask scheduler` on one of them, then
     `dask worker tcp://HOST:8786 --nworkers auto --nthreads 1` on each, and pass `--workers tcp://HOST:8786`.

@@ -44,8 +44,8 @@ def identify(
 
     With --still, the command writes an IMU file for `generate --set imu=FILE`, from the Allan variance. A
     bias and a noise density need 10 s at rest, and a bias random walk at least 60 s, better an hour. The time
-    constant of the random walk needs a log several times as long. The file leaves out what the log is too
-    short for, and the output names it.
+    constant of the random walk needs a log several times as long. What the log is
+    too short for is left out of the file and named in the output.
 
     Example: quadsim identify data/flights.zarr --vehicle hummingbird --out mine.toml
 

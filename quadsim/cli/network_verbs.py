@@ -119,8 +119,8 @@ def tune(
 ) -> None:
     """Tune a filter on recorded flights with the paper's particle swarm.
 
-    The file also records the command. With all, filterpy's two filters get the parameters of ekf, because
-    they have the same model.
+    The TOML file also records the command. With --estimator all, filterpy's two filters get the parameters of
+    ekf, because they have the same model.
 
     Example: quadsim tune --estimator mahony --data data/train.zarr --out mine.toml
     """
