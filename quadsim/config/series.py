@@ -25,14 +25,25 @@ def read_series(path: str | Path, within: Between, optional: str = "") -> NDArra
     """
     rows: list[list[float]] = []
     lines: list[int] = []
-    reader = csv.DictReader(read_text(Path(path), most_mb=100.0).splitlines(), skipinitialspace=True)
+    text = read_text(Path(path), most_mb=100.0).splitlines()
+    above = next((k for k, line in enumerate(text) if line.strip()), 0)  # blank lines
+    reader = csv.DictReader(text[above:], skipinitialspace=True)
+    reader.fieldnames = header = [name.strip() for name in reader.fieldnames or ()]
+    if any(header.count(name) != 1 for name in COLUMNS) or (optional and header.count(optional) > 1):
+        raise ValueError(
+            f'{path}: the header is "{",".join(header)[:60]}"; '
+            f"it should have each of {', '.join(COLUMNS)} once"
+        )
     try:
         for row in reader:
+            if None in row:  # more cells than columns: with decimal commas, too
+                raise ValueError
             rows.append([float(row[name]) for name in COLUMNS] + [float(row.get(optional) or 0.0)])
-            lines.append(reader.line_num)
-    except (csv.Error, KeyError, TypeError, ValueError):
+            lines.append(above + reader.line_num)
+    except (csv.Error, TypeError, ValueError):
         raise ValueError(
-            f"{path}, line {reader.line_num}: should have numbers in the columns {', '.join(COLUMNS)}"
+            f"{path}, line {above + reader.line_num}: should have numbers in the columns "
+            f"{', '.join(COLUMNS)}, and no more cells than the header"
         ) from None
     if len(rows) < 2:
         raise ValueError(f"{path}: {len(rows)} rows of {', '.join(COLUMNS)}; at least 2 are needed")

@@ -131,7 +131,7 @@ def test_seed_sequences_choose_the_vehicles():
 
 def test_recording_is_interpolated_and_held_at_its_ends(tmp_path):
     path = tmp_path / "wind.csv"
-    path.write_text("t, x, y, z\n1,0,0,0\n2,4,-2,1\n\n")
+    path.write_text("\nt , x , y, z\n1,0,0,0\n2,4,-2,1\n\n")
     wind = wind_series([WindRecording(path=str(path))], 2, 4, 1.0, seed=0)
     assert wind[0].tolist() == [[0, 0, 0], [0, 0, 0], [4, -2, 1], [4, -2, 1]]
     assert np.array_equal(wind[0], wind[1])
@@ -141,8 +141,11 @@ def test_recording_is_interpolated_and_held_at_its_ends(tmp_path):
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("", "0 rows"),
-        ("time,x,y,z\n0,0,0,0\n1,0,0,0\n", "line 2: should have numbers in the columns t, x, y, z"),
+        ("", 'the header is ""; it should have each of t, x, y, z once'),
+        ("T;x,y,z\n0,0,0,0\n1,0,0,0\n", 'the header is "T;x,y,z"'),
+        ("t,x,y,z,x\n0,0,0,0,5\n1,0,0,0,6\n", "once"),
+        ("t,x,y,z\n0,0,5,0,0,0,0\n1,0,5,0,0,0,0\n", "line 2: .* no more cells than the header"),
+        ("\n\nt,x,y,z\n0,0,0,0\n1,0,0\n", "line 5"),
         ("t,x,y,z\n0,0,0,0\n", "1 rows"),
         ("t,x,y,z\n0,0,0,0\n1,0,0\n", "line 3"),
         ("t,x,y,z\n0,0,0,0\n1,0,0,abc\n", "line 3"),
