@@ -251,7 +251,8 @@ def recommended(found: Choice, measure: Measure) -> str:
     names = listed([said(place.name, measure) for place in found.best], "or")
     if not found.best[0].fit:
         return f"no estimator is fit to fly: {names} {found.best[0].fate}, the others in more."
-    return f"fly {names} ({outcome(found.best, measure)})."
+    only = ", the only one that ran" if len(found.places) == 1 else ""
+    return f"fly {names}{only} ({outcome(found.best, measure)})."
 
 
 def outcome(best: Sequence[Place], measure: Measure) -> str:

@@ -108,7 +108,7 @@ HEADLINES = {
     ),
     "who did not run is no rival": (
         {"x": {"a": [1.0, 1.1]}, "y": {"a": "no weights"}},
-        "In a fly x (no crash in 2 flights, error 1.05°).",
+        "In a fly x, the only one that ran (no crash in 2 flights, error 1.05°).",
     ),
     "one alone is described": (
         {"truth": {"a": [0.1] * 3, "b": [0.1] * 3}, "x": {"a": [crash(5.0)] * 2 + [1.0], "b": [2.0] * 3}},
@@ -300,7 +300,8 @@ def test_the_headline_has_a_clause_for_each_condition():
     assert found.lines[:3] == [
         "With the airframe's drag known: fly drag (no crash in 4 flights, error 1.05°).",
         "With drag that is half or twice what is known: fly imm (no crash in 8 flights, error 1.05°).",
-        "On an airframe whose drag is not known: fly imm (no crash in 4 flights, error 1.05°).",
+        "On an airframe whose drag is not known: fly imm, the only one that ran "
+        "(no crash in 4 flights, error 1.05°).",
     ]
     assert found.lines[-1] == recommendation().elsewhere
     alone = verdict(designed({"imm": [good] * 4, "vqf": [poor] * 4}))
