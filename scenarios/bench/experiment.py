@@ -14,7 +14,7 @@ from pydantic import Field
 from scipy.stats import qmc
 
 from quadsim.config.ranges import Between
-from quadsim.config.toml import Strict, load_toml
+from quadsim.config.toml import Strict, load_toml, nearest
 from quadsim.flight.scenario import Scenario, changed, load_scenario, scenario_names
 from quadsim.held_out import HeldOut, load_held_out, releases
 
@@ -53,7 +53,11 @@ class Sweep(Strict):
         Raises:
             ValueError: A value that a field cannot have.
         """
-        return changed(load_scenario(self.scenario), _scaled(self.fields, self.scaled.split("."), level))
+        try:
+            fields = _scaled(self.fields, self.scaled.split("."), level)
+        except (KeyError, TypeError):
+            raise ValueError(f'scaled = "{self.scaled}": names no number or vector of fields') from None
+        return changed(load_scenario(self.scenario), fields)
 
 
 class Experiment(Strict):
@@ -145,7 +149,15 @@ def load_experiment(source: str | Path) -> Experiment:
     if found.held_out:
         suite = load_held_out(releases()[-1])
         update |= {"seeds": suite.flights, "seed": suite.seed}
-    return found.model_copy(update=update)
+    found = found.model_copy(update=update)
+    for condition in found.conditions:
+        axis = found.axes.get(condition.axis, {})
+        if unknown := [level for level in condition.levels if level not in axis]:
+            raise ValueError(
+                f'{source}: condition "{condition.name}": the axis "{condition.axis}" has no level '
+                f'"{unknown[0]}"; {nearest(unknown[0], axis)}'
+            )
+    return found
 
 
 def with_levels(base: Scenario, levels: Levels, axes: Mapping[str, Mapping[str, Any]]) -> Scenario:
@@ -223,4 +235,6 @@ def _scaled(value: Any, path: Sequence[str], level: float) -> Any:
     key, *rest = path
     if isinstance(value, Mapping):
         return {**value, key: _scaled(value[key], rest, level)}
+    if key not in map(str, range(len(value))):
+        raise KeyError(key)
     return [_scaled(each, rest, level) if str(k) == key else each for k, each in enumerate(value)]

@@ -1,5 +1,6 @@
 """Experiments: designed combinations of levels, and what of a scenario they set."""
 
+import re
 from collections import Counter
 from itertools import combinations
 
@@ -9,7 +10,7 @@ import pytest
 from quadsim.config.toml import preset_names
 from quadsim.flight.scenario import load_scenario, scenario_names
 from scenarios.bench.cell import FlightSettings
-from scenarios.bench.experiment import FOLDER, load_experiment, with_levels
+from scenarios.bench.experiment import FOLDER, Sweep, load_experiment, with_levels
 from scenarios.bench.results import load_results
 from scenarios.bench.runner import bench
 
@@ -65,3 +66,40 @@ def test_a_designed_benchmark_flies_loads_and_has_its_levels_in_the_table(tmp_pa
     assert set(table["drag"]) == set(AXES.axes["drag"])
     with pytest.raises(ValueError, match="vehicle: the experiment varies it"):
         bench(["hover"], ["truth"], tmp_path, FlightSettings(), {"vehicle": "crazyflie"}, experiment=few)
+
+
+CONDITION = """
+description = "x"
+combinations = 2
+[axes.wind."2 m/s"]
+[axes.wind."4 m/s"]
+[[conditions]]
+name = "In calm air"
+clause = "in calm air"
+axis = "{axis}"
+levels = ["{level}"]
+"""
+
+
+@pytest.mark.parametrize(
+    ("axis", "level", "message"),
+    [
+        ("air", "2 m/s", 'own.toml: condition "In calm air": the axis "air" has no level "2 m/s"'),
+        ("wind", "3 m/s", 'the axis "wind" has no level "3 m/s"; did you mean "4 m/s"? valid: 2 m/s, 4 m/s'),
+    ],
+)
+def test_a_condition_on_a_level_that_is_not_flown_is_refused_before_the_flights(
+    tmp_path, axis, level, message
+):
+    path = tmp_path / "own.toml"
+    path.write_text(CONDITION.format(axis=axis, level=level))
+    with pytest.raises(ValueError, match=re.escape(message)):
+        load_experiment(path)
+
+
+@pytest.mark.parametrize("scaled", ["nope", "wind.1.velocity", "wind.0.speed", "wind.0.kind.x"])
+def test_a_sweep_over_what_is_no_number_of_its_fields_is_refused(scaled):
+    wind = {"kind": "constant", "velocity": [1.0, 0.0, 0.0]}
+    sweep = Sweep(scenario="hover", fields={"wind": [wind]}, scaled=scaled, levels=(1.0,))
+    with pytest.raises(ValueError, match=f'scaled = "{scaled}": names no number or vector of fields'):
+        sweep.at(1.0)
