@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, RootModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from ..runs.fingerprint import ASSETS, ROOT
@@ -216,7 +216,10 @@ def _describe_one(error: ErrorDetails, model: type[BaseModel]) -> str:
 
 def _follow(location: tuple[int | str, ...], model: type[BaseModel]) -> tuple[str, list[type[BaseModel]]]:
     """Key path as the user would write it, and the models that could hold its last key."""
-    path, owners, inside = "", [model], [model]
+    path, inside = "", [model]
+    if issubclass(model, RootModel):
+        inside = _models_in_field(model, "root")
+    owners = inside
     for step in location:
         if isinstance(step, int):
             path += f"[{step}]"
@@ -227,7 +230,8 @@ def _follow(location: tuple[int | str, ...], model: type[BaseModel]) -> tuple[st
             continue
         path += f".{step}" if path else step
         owners = inside
-        inside = [found for owner in owners for found in _models_in_field(owner, step)]
+        if any(step in owner.model_fields for owner in owners):  # else a name that the user chose
+            inside = [found for owner in owners for found in _models_in_field(owner, step)]
     return path, owners
 
 

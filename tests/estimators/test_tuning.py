@@ -203,7 +203,7 @@ def test_gain_of_a_sample_is_carried_over_to_another_rate(tmp_path, flights):
     ("text", "message"),
     [
         ("[mahony", "not valid TOML"),
-        ("[mahony]\nk_p = 1.0", "mahony"),
+        ("[mahony]\nk_p = 1.0", 'unknown key "mahony.k_p"; valid: command, vehicle'),
         (
             '[mahony]\ncommand = ""\nrate_hz = 200.0\nrmse_deg = 1.0\nevaluations = 1\n'
             "[mahony.values]\nkp = 1.0",
