@@ -124,11 +124,14 @@ def tune(
 
     Example: quadsim tune --estimator mahony --data data/train.zarr --out mine.toml
     """
+    from estimators.tuned import load_tuning
     from estimators.tuning.search import SearchSettings, tunable, write_tuning
     from estimators.tuning.search import tune as tune_filter
 
     from ..dataset.reading import open_dataset
 
+    if out.exists():
+        load_tuning(out)  # a file that cannot be kept is refused before the search
     datasets = [open_dataset(path) for path in data]
     for name in tunable() if estimator == "all" else [estimator]:
         with progress_bar(f"tune {name}", "iterations") as bar:

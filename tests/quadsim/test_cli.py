@@ -128,6 +128,7 @@ def test_every_verb_has_help_of_its_own():
         ("train --data missing.zarr --out run --set validation=3", "option of its own"),
         ("train --data missing.zarr --out run --epochs 2", "--epochs is not for the circuit"),
         ("tune --estimator mahony --data missing.zarr --out x.toml", "missing.zarr"),
+        ("tune --estimator mahony --data missing.zarr --out bad.toml", "bad.toml: not valid TOML"),
         ("evaluate --data missing.zarr", "missing.zarr"),
         ("evaluate --logs missing.csv --estimator missing.safetensors", "missing"),
         ("report notes.txt", "notes.txt"),
