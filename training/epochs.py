@@ -11,6 +11,7 @@ import io
 import json
 import logging
 import math
+import pickle
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
@@ -149,16 +150,18 @@ def _restored(learner: Training | CircuitLearner, out: Path) -> list[Epoch]:
     """Continue from a folder's checkpoint, if there is one; the epochs so far.
 
     Raises:
-        ValueError: One of another version.
+        ValueError: It is damaged or of another version, or the weights beside it are missing.
     """
     if not (out / "checkpoint.pt").is_file():
         return []
+    if not (out / "best.safetensors").is_file():
+        raise ValueError(f"{out}: best.safetensors is missing beside its checkpoint, choose another folder")
     try:
         state = torch.load(out / "checkpoint.pt", weights_only=True)
         learner.load_state_dict(state)
         return [Epoch(**row) for row in state["history"]]
-    except (RuntimeError, KeyError, TypeError) as error:
-        text = "its checkpoint is of another version of quadsim, choose another folder"
+    except (RuntimeError, KeyError, TypeError, EOFError, pickle.UnpicklingError) as error:
+        text = "its checkpoint is damaged or of another version of quadsim, choose another folder"
         raise ValueError(f"{out}: {text}") from error
 
 

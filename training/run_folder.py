@@ -78,9 +78,14 @@ def claim(out: Path, config: TrainConfig | CircuitRun, flights: dict[str, str]) 
     write_whole(file, config.model_dump_json(indent=2))
     contents = flights | {"code": code_digest("training.epochs")}
     file = out / "contents.json"
-    if file.is_file() and (old := json.loads(file.read_text(encoding="utf-8"))) != contents:
-        changed = ", ".join(name for name in contents if old.get(name) != contents[name])
-        raise ValueError(f"{out}: holds a run on other files ({changed} changed), choose another folder")
+    if file.is_file():
+        try:
+            old = dict(json.loads(file.read_text(encoding="utf-8")))
+        except (ValueError, TypeError):
+            raise ValueError(f"{file}: damaged, choose another folder") from None
+        if old != contents:
+            changed = ", ".join(name for name in contents if old.get(name) != contents[name])
+            raise ValueError(f"{out}: holds a run on other files ({changed} changed), choose another folder")
     write_whole(file, json.dumps(contents, indent=2))
 
 

@@ -16,7 +16,7 @@ from quadsim.vehicle import GRAVITY
 from training.config import ControlSettings, make_config
 from training.control.excitation import Excitation, set_point_excitation
 from training.control.labelled_flights import fly, thrust_axis, thrust_axis_error, with_motion
-from training.control.task import ControlTask, read_flights, windows
+from training.control.task import ControlTask, read_flights, save_flights, windows
 from training.data import network_inputs
 from training.epochs import INTERRUPTED, Training, train
 from training.init import initialise_controller
@@ -176,3 +176,12 @@ def test_a_run_that_was_stopped_ends_with_the_same_weights_which_fly(recipe, tmp
     flights = fly(SETTINGS, recipe, seeds(2), controller)
     assert np.linalg.norm(flights.accel, axis=-1) == pytest.approx(GRAVITY, rel=1e-5)
     assert load_network(whole.weights)[0].training["training_flights"] == 5
+
+
+@pytest.mark.parametrize("size", [0, 1, 700])
+def test_damaged_flights_of_a_round_are_named(tmp_path, size):
+    file = tmp_path / "round-0.npz"
+    save_flights(file, fly(SETTINGS, load_recipe("control"), [np.random.SeedSequence(0)]))
+    file.write_bytes(file.read_bytes()[:size])
+    with pytest.raises(ValueError, match=r"round-0\.npz: damaged, choose another folder"):
+        read_flights(file)

@@ -136,8 +136,29 @@ def test_a_checkpoint_of_another_version_is_refused_in_one_line(dataset, tmp_pat
     less = {name: value for name, value in state["model"].items() if name != "w_in_scale"}
     for model in (more, less):
         torch.save(state | {"model": model}, tmp_path / "checkpoint.pt")
-        with pytest.raises(ValueError, match="checkpoint is of another version of quadsim"):
+        with pytest.raises(ValueError, match="checkpoint is damaged or of another version of quadsim"):
             train(**choices)
+
+
+@pytest.mark.parametrize(
+    ("file", "content", "message"),
+    [
+        ("checkpoint.pt", "garbage", "its checkpoint is damaged or of another version"),
+        ("checkpoint.pt", "", "its checkpoint is damaged or of another version"),
+        ("contents.json", "{", r"contents\.json: damaged, choose another folder"),
+        ("contents.json", "[1]", r"contents\.json: damaged, choose another folder"),
+        ("best.safetensors", None, r"best\.safetensors is missing beside its checkpoint"),
+    ],
+)
+def test_a_run_with_a_damaged_file_is_refused_in_one_line(dataset, tmp_path, file, content, message):
+    choices = TINY | {"data": dataset, "out": tmp_path, "epochs": 1}
+    train(**choices)
+    if content is None:
+        (tmp_path / file).unlink()
+    else:
+        (tmp_path / file).write_text(content)
+    with pytest.raises(ValueError, match=message):
+        train(**choices)
 
 
 def test_a_loss_that_is_not_a_number_stops_the_run(dataset, tmp_path, monkeypatch):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import zipfile
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -162,6 +163,13 @@ def save_flights(file: Path, flights: ControlFlights) -> None:
 
 
 def read_flights(file: Path) -> ControlFlights:
-    """Read what `save_flights` wrote."""
-    with np.load(file, allow_pickle=False) as stored:
-        return ControlFlights(**stored)
+    """Read what `save_flights` wrote.
+
+    Raises:
+        ValueError: The file is damaged.
+    """
+    try:
+        with np.load(file, allow_pickle=False) as stored:
+            return ControlFlights(**stored)
+    except (ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{file}: damaged, choose another folder for the run") from error
