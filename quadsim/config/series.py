@@ -29,10 +29,11 @@ def read_series(path: str | Path, within: Between, optional: str = "") -> NDArra
     above = next((k for k, line in enumerate(text) if line.strip()), 0)  # blank lines
     reader = csv.DictReader(text[above:], skipinitialspace=True)
     reader.fieldnames = header = [name.strip() for name in reader.fieldnames or ()]
-    if any(header.count(name) != 1 for name in COLUMNS) or (optional and header.count(optional) > 1):
+    wanted = [*COLUMNS, *({optional} & set(header))]
+    if any(header.count(name) != 1 for name in wanted):
         raise ValueError(
             f'{path}: the header is "{",".join(header)[:60]}"; '
-            f"it should have each of {', '.join(COLUMNS)} once"
+            f"it should have each of {', '.join(wanted)} once"
         )
     try:
         for row in reader:

@@ -98,7 +98,14 @@ def test_set_points_from_a_file_are_passed_through(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "text", ["x,y,z\n1,2,3\n", "t,x,y,z\n0,0,0,0\n", "t,x,y,z,yaw\n0,0,0,0,a\n1,0,0,0,0\n", ""]
+    "text",
+    [
+        "x,y,z\n1,2,3\n",
+        "t,x,y,z,yaw,yaw\n0,0,0,0,1,2\n1,0,0,0,1,2\n",
+        "t,x,y,z\n0,0,0,0\n",
+        "t,x,y,z,yaw\n0,0,0,0,a\n1,0,0,0,0\n",
+        "",
+    ],
 )
 def test_a_wrong_set_point_file_is_named(tmp_path, text):
     path = tmp_path / "points.csv"
