@@ -25,7 +25,7 @@ class Recommendation(Strict):
         """A sentence for reports of other flights."""
         return (
             f"In general: {self.sentence} (Held-out suite of release {self.release}, which varies all of "
-            "these and the wind.)"
+            "these and the wind; crashes count before errors.)"
         )
 
 
