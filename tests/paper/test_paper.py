@@ -211,11 +211,11 @@ JUDGED = {
     "more accurate than Att-SNN": {"holds": errors(2.5), "does not hold": errors(1.5)},
     "noisier": {"holds": losses(0.2, 0.1), "does not hold": losses(0.1, 0.2)},
     "single source": {"holds": domains(4.0), "does not hold": domains(2.1)},
-    "From 20° off": {
+    "From an initial error of 20°": {
         "holds": recovery(0.5, 8.0), "partly": recovery(1.5, 8.0), "does not hold": recovery(None, 8.0)
     },
     "than 7 s": {"partly": recovery(0.5, 3.0)},
-    "go without loss": {
+    "removed without loss": {
         "holds": inside(), "partly": inside(neurons=190), "does not hold": inside(after=2.1)
     },
     "reference at a constant attitude": {
