@@ -106,6 +106,8 @@ def create(
     Raises:
         ValueError: For an unknown name or parameter, naming the valid ones, and for values out of range.
     """
+    if not isinstance(name, str):
+        raise ValueError(f"name = {name!r}: should be the name of an estimator, as in names()")
     if is_weights(name):
         model = "att-snn" if is_circuit(name) else load_network(name)[0].model
         return _network(model, rate_hz, params | {"weights": name})

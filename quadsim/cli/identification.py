@@ -1,5 +1,6 @@
 """The command `identify`: constants of a vehicle from flights, or noise and bias of an IMU at rest."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -54,14 +55,30 @@ def identify(
     if still:
         if len(files) > 1:
             raise ValueError(f"--still is of one log, not of {len(files)}")
+        from ..imu.spec import load_imu
         from ..logs import read_recording
         from ..logs.allan import calibrate, show_calibration
 
         out = out or Path("my-imu.toml")
         if out.suffix != ".toml" or out.absolute() == files[0].absolute():
             raise ValueError(f"{out}: an IMU file ends in .toml, and is not the log")
+        _refuse_another_kind(out, load_imu, "IMU")
         show_calibration(calibrate(read_recording(files[0], mount=mount, imu=imu)), out)
         return
     from ..identify.fit_report import identify_files
+    from ..vehicle import load_vehicle
 
-    identify_files(files, vehicle, out or Path("mine.toml"), rate, mount)
+    out = out or Path("mine.toml")
+    _refuse_another_kind(out, load_vehicle, "vehicle")
+    identify_files(files, vehicle, out, rate, mount)
+
+
+def _refuse_another_kind(out: Path, load: Callable[[Path], object], kind: str) -> None:
+    """Let a file be replaced by one of its kind alone."""
+    if out.exists():
+        try:
+            load(out)
+        except ValueError as error:
+            raise ValueError(
+                f"{out} is there already, and describes no {kind}: give another --out"
+            ) from error

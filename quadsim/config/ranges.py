@@ -5,6 +5,7 @@ The ends are wide: a value beyond them is a slip of the pen or of the unit, and 
 
 import math
 from dataclasses import dataclass
+from numbers import Real
 from typing import Annotated, Any, Literal, TypeAlias, get_args
 
 from pydantic import AfterValidator, GetCoreSchemaHandler
@@ -41,6 +42,8 @@ class Between:
         Raises:
             ValueError: It is outside the range, or no number.
         """
+        if not isinstance(value, Real):
+            raise ValueError(f"{name} = {value!r}: should be a number")
         try:
             return self.check(value)
         except ValueError as error:

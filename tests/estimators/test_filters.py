@@ -378,6 +378,8 @@ def test_readings_that_no_sensor_gives_count_as_missing(flights, name):
         (lambda: create("ekf-drag", vehicle="hummingbrid"), 'did you mean "hummingbird"'),
         (lambda: create("complementary", gamma=1.2), "gamma = 1.2 is outside 0 to 1"),
         (lambda: create("ekf", rate_hz=0.0), "rate_hz = 0.0: should be 0.001 to 100000 Hz"),
+        (lambda: create("ekf", rate_hz="a"), "rate_hz = 'a': should be a number"),
+        (lambda: create(3), "name = 3: should be the name of an estimator"),
         (lambda: create("ekf", tuning="nowhere.toml"), "nowhere.toml: no such file"),
         (lambda: run(create("truth"), np.zeros((1, 2, 3)), np.zeros((1, 2, 3))), "observes the truth"),
         (lambda: run(create("ekf"), np.zeros((1, 2, 3)), np.zeros((1, 3, 3))), "must both have one shape"),

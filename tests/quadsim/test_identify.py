@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from quadsim.cli import main
+from quadsim.cli.identification import identify as identify_verb
 from quadsim.dataset.export import export
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
@@ -115,3 +116,12 @@ def test_the_command_writes_a_vehicle_and_a_picture_and_leaves_out_logs_without_
     assert "motor.k_f" in printed
     assert load_vehicle("mine.toml").motor.k_f == pytest.approx(TRUE.motor.k_f, rel=0.05)
     assert (tmp_path / "mine.png").is_file()
+
+
+@pytest.mark.parametrize(("still", "kind"), [(True, "IMU"), (False, "vehicle")])
+def test_a_file_of_another_kind_is_not_replaced(tmp_path, still, kind):
+    other = tmp_path / "mine.toml"
+    other.write_text('description = "a scenario"\n')
+    with pytest.raises(ValueError, match=f"mine.toml is there already, and describes no {kind}"):
+        identify_verb([tmp_path / "log.ulg"], out=other, still=still)
+    assert other.read_text().startswith("description")
