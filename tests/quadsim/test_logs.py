@@ -227,12 +227,14 @@ def test_a_csv_is_read_by_its_column_map(tmp_path):
     consistent(log)
     np.testing.assert_allclose(log["mag"], -1e-6 * log["accel"], atol=1e-7)
     np.testing.assert_allclose(log["rotor_vel"], 2 * np.pi, rtol=1e-6)
-    (tmp_path / "bad.toml").write_text(COLUMNS.replace('"wz"', '"gz"'))
-    with pytest.raises(ValueError, match=r'no column "gz"; '):
-        read_log(tmp_path / "bad.toml")
-    (tmp_path / "bad.toml").write_text(COLUMNS.replace("unit =", "units ="))
-    with pytest.raises(ValueError, match=r'unknown key "time\.units"'):
-        read_log(tmp_path / "bad.toml")
+    for old, new, fault in (
+        ('"wz"', '"gz"', r'no column "gz"; '),
+        ('"wz"', '"wy"', r"gyro\.columns: wx, wy, wy; one is there twice"),
+        ("unit =", "units =", r'unknown key "time\.units"'),
+    ):
+        (tmp_path / "bad.toml").write_text(COLUMNS.replace(old, new))
+        with pytest.raises(ValueError, match=fault):
+            read_log(tmp_path / "bad.toml")
 
 
 def tones(rate_hz: float, *hz: float) -> Recording:

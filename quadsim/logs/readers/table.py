@@ -102,6 +102,8 @@ class Table(Strict):
                 raise ValueError(f'{name}.unit = "{part.unit}": should be {" or ".join(units)}')
             if isinstance(part, Columns) and name != "rotor_vel" and len(part.columns) != 3:
                 raise ValueError(f"{name}.columns: {len(part.columns)}; three are required")
+            if isinstance(part, Columns) and len({*part.columns}) < len(part.columns):
+                raise ValueError(f"{name}.columns: {', '.join(map(str, part.columns))}; one is there twice")
         if self.quat is not None and self.euler is not None:
             raise ValueError("one of quat and euler is required, not both")
         return self
