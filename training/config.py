@@ -6,7 +6,7 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
-from pydantic import ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from estimators.circuit.file import load_circuit
 from estimators.loihi.layers import WEIGHT_EXP_MIN
@@ -19,9 +19,9 @@ from estimators.networks.weights_file import (
 )
 from quadsim.config.ranges import Between, Share
 from quadsim.config.toml import Strict, describe, load_toml, merged, preset_names, shipped_folder
+from quadsim.flight.recipe import NamedImu
 from quadsim.held_out import unreserved
-
-from .augment import Augmentation
+from quadsim.imu.spec import ImuSpec, Sensor
 
 Number = Annotated[int, Between(1, 1_000_000)]
 Window = Annotated[float, Between(0.01, 3600.0, "s")]
@@ -115,8 +115,11 @@ class TrainingRecipe(Strict):
     """Length of a window [s]."""
     windows_per_stream: Number = 1
     """Most successive windows over which the network's state continues (truncated backpropagation)."""
-    augmentation: Augmentation = Augmentation()
-    """Sensor errors and symmetries, drawn for every window or stream of an attitude estimator."""
+    imu: NamedImu = ImuSpec(gyro=Sensor(noise=3.394e-4), accel=Sensor(noise=0.004, turn_on=0.196))
+    """Sensor errors, drawn for every stream of an attitude estimator; the paper's are those of RotorS'
+    ADIS16448."""
+    yaw_symmetry: bool = False
+    """Turn the body axes about z by any angle and mirror half of the streams: neither changes the physics."""
     control: ControlSettings = ControlSettings()
     """Flights of a controller."""
     huber_threshold: Annotated[float, Between(0.0, 10.0, "rad")] = 0.0
@@ -133,6 +136,17 @@ class TrainingRecipe(Strict):
         return OPTIMISATIONS[self.optimisation]
 
 
+class FlightSet(Strict):
+    """Flights of a recipe."""
+
+    recipe: str
+    """A shipped recipe or a TOML file."""
+    flights: dict[str, Number]
+    """How many of each vehicle."""
+    changes: dict[str, Any] = Field(default={})
+    """Keys of the recipe that differ."""
+
+
 class CircuitTraining(Strict):
     """How a circuit is trained; the recipe that ships is `assets/presets/att-snn.toml`."""
 
@@ -144,12 +158,16 @@ class CircuitTraining(Strict):
     """Streams that are drawn once, each with sensor errors of its own."""
     window_s: Annotated[float, Between(0.1, 600.0, "s")] = 40.0
     """Length of a stream, over which the gradient is exact [s]."""
+    flight_sets: tuple[FlightSet, ...] = ()
+    """Flights of 60 s to learn from where no data are given."""
     hand_share: Share = 0.4
     """Share of the streams that move in the hand, where there are both."""
     sway_share: Share = 0.7
     """Share of the streams in the hand to which translation is added."""
     calibrated_share: Share = 0.5
-    """Share of the streams whose biases, scales and mounting are a tenth of those of the augmentation."""
+    """Share of the streams whose biases, scales and mounting are a tenth of those of the worst IMU."""
+    interrupted_share: Share = 0.2
+    """Share of the streams without samples for up to half a second, and with a few false rates."""
     known_share: Share = 0.35
     """Share of the streams that begin with attitude and bias known, as the later parts of a flight do."""
     updates: Number = 6500
@@ -158,8 +176,8 @@ class CircuitTraining(Strict):
     """Streams in an update."""
     learning_rate: Annotated[float, Between(1e-6, 1.0)] = 0.02
     """Of Adam, at its highest."""
-    augmentation: Augmentation = Augmentation()
-    """Sensor errors."""
+    imu: NamedImu = ImuSpec()
+    """The worst IMU: each stream's has errors that are random parts of it (`training.circuit.imus`)."""
     init: str = ""
     """Circuit to continue from, in place of the equation: a file or a shipped name; it has the vectors and
     the gates."""
@@ -177,14 +195,14 @@ class Run(Strict):
     """Of all that is random: initial weights, split, windows or streams, sensor errors."""
 
     @property
-    def controls(self) -> bool:
-        """Whether the network is a controller."""
+    def has_own_flights(self) -> bool:
+        """Whether the run makes the flights that it learns from."""
         return False
 
     @model_validator(mode="after")
     def _has_data(self) -> Run:
         unreserved(self.seed)
-        if not (self.data or self.controls):
+        if not (self.data or self.has_own_flights):
             raise ValueError(
                 "data: at least one dataset to train on is required, as quadsim generate makes it"
             )
@@ -193,6 +211,11 @@ class Run(Strict):
 
 class CircuitRun(Run, CircuitTraining):
     """A training run of a circuit."""
+
+    @property
+    def has_own_flights(self) -> bool:
+        """Whether the preset names flights, which are made where no data are given."""
+        return bool(self.flight_sets)
 
     @property
     def epochs(self) -> int:
@@ -214,6 +237,11 @@ class TrainConfig(Run, TrainingRecipe):
     def controls(self) -> bool:
         """Whether the network is a controller."""
         return self.outputs == "angular-acceleration"
+
+    @property
+    def has_own_flights(self) -> bool:
+        """Whether the network is a controller, which learns from flights of its own."""
+        return self.controls
 
     @model_validator(mode="after")
     def _fits(self) -> TrainConfig:

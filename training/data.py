@@ -24,7 +24,7 @@ from estimators.networks.weights_file import NetworkConfig, Tensors
 from quadsim.dataset.reading import open_dataset
 from quadsim.rotation import quat_rotate_inverse, roll_pitch_of_up
 
-from .augment import Augmentation, augment
+from .augment import measured, turned_and_mirrored
 from .config import TrainConfig
 from .init import initialise_random
 from .models import AttRNN, AttSNN
@@ -169,14 +169,14 @@ def windows(
     Streams differ in length, from one window to `windows_per_stream`, log-uniform: every batch has some that
     have just begun and some that have long settled.
 
-    `windows_per_stream` is less where the flights are shorter; `augmentation` is drawn once per stream, noise
-    per sample. A window has `steps` samples; `seed` is that of the epoch.
+    `windows_per_stream` is less where the flights are shorter; the IMU is drawn once per stream, noise per
+    sample. A window has `steps` samples; `seed` is that of the epoch.
     """
     most = min(config.windows_per_stream, flights.gyro.shape[1] // steps)
     sizes = [len(part) for part in np.array_split(np.arange(config.batch_size), COHORTS) if len(part)]
     seeds = np.random.SeedSequence(list(seed)).spawn(len(sizes))
     cohorts = [
-        _streams(flights, config.augmentation, n, steps, most, np.random.default_rng(each))
+        _streams(flights, config, n, steps, most, np.random.default_rng(each))
         for n, each in zip(sizes, seeds, strict=True)
     ]
     for _ in range(config.batches):
@@ -185,7 +185,7 @@ def windows(
 
 
 def _streams(
-    flights: TrainingFlights, drawn: Augmentation, n: int, steps: int, most: int, rng: np.random.Generator
+    flights: TrainingFlights, config: TrainConfig, n: int, steps: int, most: int, rng: np.random.Generator
 ) -> Iterator[tuple[NDArray, ...]]:
     """Windows of `n` streams of one length, then of `n` others: gyro, accel, roll and pitch, reset."""
     while True:
@@ -193,8 +193,10 @@ def _streams(
         rows = rng.integers(len(flights), size=n)[:, None]
         first = rng.integers(flights.gyro.shape[1] - length + 1, size=n)
         index = rows, first[:, None] + np.arange(length)
-        signals = flights.ang_vel[index], flights.specific_force[index], flights.up[index]
-        gyro, accel, up = augment(*signals, drawn, flights.rate_hz, rng)
+        rate, force, up = flights.ang_vel[index], flights.specific_force[index], flights.up[index]
+        if config.yaw_symmetry:
+            rate, force, up = turned_and_mirrored(rate, force, up, rng)
+        gyro, accel = measured(config.imu, rate, force, flights.rate_hz, rng)
         roll_pitch = roll_pitch_of_up(up).astype(np.float32)
         for k in range(0, length, steps):
             part = slice(k, k + steps)

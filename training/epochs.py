@@ -23,6 +23,7 @@ import torch
 
 from estimators.networks.encoder import ENCODER
 from estimators.networks.weights_file import NetworkConfig, Tensors, save_network
+from quadsim.dataset.store import Progress as FlightsProgress
 from quadsim.runs.files import alone, write_csv, write_whole
 from quadsim.runs.record import commit
 
@@ -113,7 +114,7 @@ def train(
 
     Args:
         model: "att-snn" or "att-rnn"; a circuit is both.
-        data: One dataset or several; none for a controller.
+        data: One dataset or several; none for a controller, nor for a circuit whose preset lists flights.
         out: Folder of the run.
         preset: Name of a shipped preset, or a TOML file.
         progress: Called after every epoch.
@@ -126,9 +127,18 @@ def train(
     return run(make_config(preset, model=model, data=data, **choices), Path(out), progress)
 
 
-def run(config: Config, out: Path, progress: Progress | None = None) -> Result:
-    """As `train`, from a complete configuration."""
+def run(
+    config: Config,
+    out: Path,
+    progress: Progress | None = None,
+    generated: FlightsProgress = lambda done, total: None,
+) -> Result:
+    """As `train`, from a complete configuration; `generated` is called as flights of its own are made."""
     with alone(out):
+        if isinstance(config, CircuitRun) and not config.data:
+            from .circuit.flight_sets import own_flights
+
+            config = own_flights(config, out / "flights", generated)
         learner = learner_of(config, out)
         claim(out, config, learner.contents())
         threads = torch.get_num_threads()

@@ -23,7 +23,10 @@ def train(
     out: Annotated[Path, typer.Option(help="Folder for the run, for example runs/snn.")],
     data: Annotated[
         list[Path] | None,
-        typer.Option(help="Dataset to train on; repeat the option to mix several. Controllers take none."),
+        typer.Option(
+            help="Dataset to train on; repeat the option to mix several. Controllers take none; att-snn "
+            "makes its own flights if there is none."
+        ),
     ] = None,
     model: Annotated[
         str, typer.Option(help="For networks of layers: att-snn, which spikes, or att-rnn, in floats.")
@@ -63,7 +66,9 @@ def train(
     The run folder gets the weights, the losses and their plot. Ctrl-C keeps what there is, and the same
     command continues the run.
 
-    Example: quadsim train --data data/train.zarr --validation data/val.zarr --out runs/snn
+    Example: quadsim train --out runs/snn
+
+    Example: quadsim train --preset tune --data data/mine.zarr --out runs/mine
 
     """
     choices = fields_of(set_, *TRAINED)
@@ -71,17 +76,22 @@ def train(
         choices["epochs"] = epochs
     if validation:
         choices["validation"] = tuple(map(str, validation))
-    from training.epochs import INTERRUPTED
-    from training.epochs import train as train_network
+    from training.config import make_config
+    from training.epochs import INTERRUPTED, run
 
+    config = make_config(preset, model=model, data=tuple(map(str, data or [])), seed=seed, **choices)
     with progress_bar(f"train {preset}", "epochs") as bar:
 
         def progress(epoch: "Epoch", config: "Config") -> None:
             bar(epoch.epoch + 1, config.epochs)
             say(f"epoch {epoch.epoch + 1}: {epoch}")
 
-        paths = tuple(map(str, data or []))
-        result = train_network(model, paths, out, preset, progress, **choices, seed=seed)
+        result = run(
+            config,
+            out,
+            progress,
+            lambda done, total: bar(0, config.epochs, f"{done} of {total} flights generated"),
+        )
     best = result.best
     say(f"{result.weights}: {best} at epoch {best.epoch + 1}; {result.reason}")
     if result.reason == INTERRUPTED:

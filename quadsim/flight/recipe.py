@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +53,10 @@ def _by_name(load: Callable[[str], Model], model: type[Model]) -> BeforeValidato
     return BeforeValidator(read)
 
 
+NamedImu: TypeAlias = Annotated[ImuSpec, _by_name(load_imu, ImuSpec)]
+"""A shipped IMU, the path of a TOML file, or a table."""
+
+
 class Recipe(Strict):
     """A kind of flight to generate: a domain for training and testing, stored whole in every dataset."""
 
@@ -62,7 +66,7 @@ class Recipe(Strict):
         default="hummingbird", validate_default=True
     )
     """A shipped vehicle, or the path of a TOML file."""
-    imu: Annotated[ImuSpec, _by_name(load_imu, ImuSpec)] = Field(default="adis16448", validate_default=True)
+    imu: NamedImu = Field(default="adis16448", validate_default=True)
     """A shipped IMU, or the path of a TOML file."""
     trajectory: Trajectory = Mix()
     """What to fly."""

@@ -14,6 +14,7 @@ Whole arrays and single samples go through the same compiled pass and give the s
 """
 
 from collections.abc import Sequence
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,6 +37,8 @@ from .kernel import (
 from .spec import ImuSpec
 
 Array = NDArray[np.float64]
+Imus: TypeAlias = ImuSpec | Sequence[ImuSpec]
+"""One IMU for all vehicles, or one for each."""
 
 BLOCK = 128
 """Samples for which noise is drawn at once."""
@@ -51,12 +54,12 @@ class ImuStream:
     """
 
     def __init__(
-        self, spec: ImuSpec, n: int, rate_hz: float, seed: Seed, records: NDArray[np.void] | None = None
+        self, spec: Imus, n: int, rate_hz: float, seed: Seed, records: NDArray[np.void] | None = None
     ) -> None:
         """Switch on, with biases and scale factors drawn for this flight.
 
         Args:
-            spec: The IMU.
+            spec: The IMU, or one per vehicle.
             n: Number of vehicles.
             rate_hz: Samples per second.
             seed: Whole number, seed sequence, or one seed sequence per vehicle.
@@ -68,17 +71,19 @@ class ImuStream:
         if n < 1:
             raise ValueError(f"n = {n}: at least one vehicle is allowed")
         SAMPLE_RATE.of("rate_hz", rate_hz)
-        self.spec = spec
+        self.specs = _one_each(spec, n)
         self.rate_hz = rate_hz
         self._seeds = vehicle_seeds(seed, n)
         self._flight = np.zeros(n, dtype=np.int64)
         self.records = np.zeros(n, IMU) if records is None else records
-        self.records[:] = constants(spec, 1.0 / rate_hz)
+        constant = {id(each): constants(each, 1.0 / rate_hz) for each in self.specs}
+        for vehicle, each in enumerate(self.specs):
+            self.records[vehicle : vehicle + 1] = constant[id(each)]
         self.readings, self.biases = (
-            dict(zip(spec.sensors, self.records[name].swapaxes(0, 1), strict=True))
+            dict(zip(self.specs[0].sensors, self.records[name].swapaxes(0, 1), strict=True))
             for name in ("reading", "bias")
         )
-        self._noises = noise_streams(spec)
+        self._noises = [noise_streams(each) for each in self.specs]
         self._random: list[list[np.random.Generator]] = [[] for _ in range(n)]
         self.noise = np.zeros((n, NOISES, BLOCK, 3))
         self._at = 0
@@ -111,7 +116,7 @@ class ImuStream:
         """
         given = (ang_vel, specific_force, ang_acc, rotor_vel)
         series = (None if each is None else np.asarray(each)[..., None, :] for each in given)
-        motion = _motion(self.spec, (len(self.records), 1), *series)
+        motion = _motion(self.specs, (len(self.records), 1), *series)
         out, bias = np.empty((2, SENSORS, *motion.shape, 3))
         measure_series(self.records, self.noise, self.next_samples(), (0, 1), motion, out, bias)
         return out[GYRO, :, 0], out[ACCEL, :, 0]
@@ -131,32 +136,31 @@ class ImuStream:
     def _switch_on(self, vehicle: int) -> None:
         """Draw what stays for a flight, and restart the noise from here."""
         seed, flight = self._seeds[vehicle], int(self._flight[vehicle])
-        draw_flight(self.records[vehicle], self.spec, np.random.default_rng(child(seed, flight, 0)))
+        random = np.random.default_rng(child(seed, flight, 0))
+        draw_flight(self.records[vehicle], self.specs[vehicle], random)
         self._random[vehicle] = [
-            np.random.default_rng(child(seed, flight, 1 + each)) for each in self._noises
+            np.random.default_rng(child(seed, flight, 1 + each)) for each in self._noises[vehicle]
         ]
         self._fill(vehicle, self._at)
 
     def _fill(self, vehicle: int, begin: int) -> None:
         """Draw a vehicle's noise for the rest of the block."""
-        for each, random in zip(self._noises, self._random[vehicle], strict=True):
+        for each, random in zip(self._noises[vehicle], self._random[vehicle], strict=True):
             random.standard_normal(out=self.noise[vehicle, each, begin:])
 
 
-def simulate_readings(
-    spec: ImuSpec, motion: NDArray[np.void], rate_hz: float, seed: Seed
-) -> dict[str, Array]:
+def simulate_readings(spec: Imus, motion: NDArray[np.void], rate_hz: float, seed: Seed) -> dict[str, Array]:
     """Readings and true biases of whole flights.
 
     Args:
-        spec: The IMU.
+        spec: The IMU, or one per flight.
         motion: (n, T) records with the fields of `quadsim.imu.kernel.motion_dtype`, all finite.
         rate_hz: Samples per second.
         seed: Whole number, seed sequence, or one seed sequence per vehicle.
 
     Returns:
-        For each of `spec.sensors`, "gyro" say, its readings and as "gyro_bias" their bias (turn-on and random
-        walk), each (n, T, 3), in sensor axes.
+        For each of `ImuSpec.sensors`, "gyro" say, its readings and as "gyro_bias" their bias (turn-on and
+        random walk), each (n, T, 3), in sensor axes.
     """
     n, steps = motion.shape
     stream = ImuStream(spec, n, rate_hz, seed)
@@ -165,12 +169,13 @@ def simulate_readings(
         end = min(start + BLOCK, steps)
         place = stream.next_samples(end - start)
         measure_series(stream.records, stream.noise, place, (start, end), motion, out, bias)
-    biases = (f"{name}_bias" for name in spec.sensors)
-    return dict(zip((*spec.sensors, *biases), (*out, *bias), strict=True))
+    sensors = stream.specs[0].sensors
+    biases = (f"{name}_bias" for name in sensors)
+    return dict(zip((*sensors, *biases), (*out, *bias), strict=True))
 
 
 def simulate_imu(
-    spec: ImuSpec,
+    spec: Imus,
     ang_vel: ArrayLike,
     specific_force: ArrayLike,
     rate_hz: float,
@@ -181,7 +186,7 @@ def simulate_imu(
     """Readings of the IMUs of n vehicles over whole flights.
 
     Args:
-        spec: The IMU.
+        spec: The IMU, or one per vehicle.
         ang_vel: Body rate, body axes, shape (n, T, 3) [rad/s].
         specific_force: At the centre of mass, body axes, shape (n, T, 3) [m/s²].
         rate_hz: Samples per second.
@@ -201,14 +206,17 @@ def simulate_imu(
 
 
 def motion_of(
-    spec: ImuSpec,
+    spec: Imus,
     ang_vel: ArrayLike,
     specific_force: ArrayLike,
     ang_acc: ArrayLike | None = None,
     rotor_vel: ArrayLike | None = None,
 ) -> NDArray[np.void]:
     """Records (n, T) for `simulate_readings`; arguments and errors are those of `simulate_imu`."""
-    motion = _motion(spec, np.shape(ang_vel)[:2], ang_vel, specific_force, ang_acc, rotor_vel)
+    shape = np.shape(ang_vel)[:2]
+    motion = _motion(
+        _one_each(spec, shape[0] if shape else 0), shape, ang_vel, specific_force, ang_acc, rotor_vel
+    )
     for name in motion.dtype.names or ():
         for where in np.argwhere(~np.isfinite(motion[name]))[:1].tolist():
             value = motion[name][tuple(where)]
@@ -216,10 +224,18 @@ def motion_of(
     return motion
 
 
-def _motion(spec: ImuSpec, shape: tuple[int, ...], *given: ArrayLike | None) -> NDArray[np.void]:
+def _one_each(spec: Imus, n: int) -> list[ImuSpec]:
+    specs = [spec] * n if isinstance(spec, ImuSpec) else list(spec)
+    if len(specs) != n:
+        raise ValueError(f"{len(specs)} IMUs for {n} vehicles; there must be one for each")
+    return specs
+
+
+def _motion(specs: Sequence[ImuSpec], shape: tuple[int, ...], *given: ArrayLike | None) -> NDArray[np.void]:
     """Records (n, T) of what an IMU uses of a motion; the rest of them is zero."""
     arrays = [None if each is None else np.asarray(each, np.float64) for each in given]
-    used = (True, True, any(spec.lever_arm), spec.vibration is not None)
+    displaced = any(any(spec.lever_arm) for spec in specs)
+    used = (True, True, displaced, any(spec.vibration is not None for spec in specs))
     *_, rotors = (1,) if arrays[3] is None else (1, *arrays[3].shape)
     motion = np.zeros(shape, motion_dtype(min(rotors, MAX_ROTORS)))
     for name, array, is_used in zip(motion.dtype.names or (), arrays, used, strict=True):

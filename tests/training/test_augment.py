@@ -1,22 +1,19 @@
 import numpy as np
 import pytest
 
-from quadsim.imu import simulate_imu
-from quadsim.imu.spec import ImuSpec
-from training.augment import Augmentation, augment
+from quadsim.imu.spec import ImuSpec, Sensor
+from training.augment import measured, turned_and_mirrored
+from training.circuit.imus import draw_imu
+from training.circuit.streams import interrupt
+from training.config import CircuitTraining, make_config
 from training.data import load_training_flights
-
-
-def only(**errors):
-    """These errors, and none of those that are there by default."""
-    return Augmentation(**{"gyro_noise": 0, "accel_noise": 0, "accel_bias": 0} | errors)
 
 
 def test_symmetry_keeps_kinematics_and_gravity(dataset):
     flights = load_training_flights([dataset])
     rng = np.random.default_rng(0)
     rate, force, up = (getattr(flights, k).astype(float) for k in ("ang_vel", "specific_force", "up"))
-    gyro, accel, turned = augment(rate, force, up, only(yaw_symmetry=True), 200.0, rng)
+    gyro, accel, turned = turned_and_mirrored(rate, force, up, rng)
     np.testing.assert_allclose((accel * turned).sum(-1), (force * up).sum(-1), atol=1e-5)
     # d up / dt = up x rate, in the turned axes as in the old ones.
     slope = (turned[:, 2:] - turned[:, :-2]) * 100.0
@@ -25,81 +22,69 @@ def test_symmetry_keeps_kinematics_and_gravity(dataset):
     assert not np.allclose(turned, up)
 
 
-def test_noise_has_the_density_that_is_asked_for():
-    zero = np.zeros((20, 2000, 3), np.float32)
-    both = Augmentation(gyro_noise=0.01, accel_noise=0.02, gyro_bias=0.1, accel_bias=0.3)
-    gyro, accel, _ = augment(zero, zero, zero, both, 200.0, np.random.default_rng(0))
-    for signal, density, bias in ((gyro, 0.01, 0.1), (accel, 0.02, 0.3)):
-        np.testing.assert_allclose(signal.std(1).mean(), density * np.sqrt(200), rtol=0.02)
-        np.testing.assert_allclose(signal.mean(1).std(), bias, rtol=0.3)
+def test_half_of_the_streams_are_mirrored():
+    """A mirror image turns the other way about z."""
+    spin = np.tile([0.0, 0.0, 1.0], (400, 2, 1))
+    gyro, _, up = turned_and_mirrored(spin, spin, spin, np.random.default_rng(0))
+    assert 0.4 < (gyro[:, 0, 2] < 0).mean() < 0.6
+    np.testing.assert_allclose(up[..., 2], 1)
 
 
-def test_an_imu_off_the_centre_feels_what_the_simulators_imu_feels():
-    """Spins about z and x tell the arm; then any rate that grows evenly, ω̇ × r + ω × (ω × r)."""
-    displaced = only(lever_arm_max=0.1)
-
-    def felt(rate):
-        rates = np.broadcast_to(rate, (200, 20, 3))
-        return augment(rates, 0 * rates, 0 * rates, displaced, 200.0, np.random.default_rng(1))[1]
-
-    about_z, about_x = (felt(spin)[:, 0] / -(4.0**2) for spin in ([0.0, 0.0, 4.0], [4.0, 0.0, 0.0]))
-    arms = np.column_stack([about_z[:, :2], about_x[:, 2]])
-    assert 0.3 < arms.any(1).mean() < 0.7
-    assert 0.09 < np.abs(arms).max() < 0.1
-    turn = np.array([30.0, -20.0, 50.0])
-    rate = np.array([1.0, 2.0, -3.0]) + turn * np.arange(20)[:, None] / 200.0
-    for arm, accel in zip(arms[:6], felt(rate), strict=False):
-        spec, ang_acc = ImuSpec(lever_arm=tuple(arm)), np.broadcast_to(turn, (1, 20, 3))
-        _, expected = simulate_imu(spec, rate[None], 0 * rate[None], 200.0, seed=0, ang_acc=ang_acc)
-        np.testing.assert_allclose(accel[1:], expected[0, 1:], atol=1e-12)
+def test_every_stream_has_an_imu_of_its_own_and_the_type_of_the_truth():
+    zero = np.zeros((2, 400, 3), np.float32)
+    imus = [ImuSpec(), ImuSpec(gyro=Sensor(noise=0.01), accel=Sensor(turn_on=1.0))]
+    gyro, accel = measured(imus, zero, zero, 200.0, np.random.default_rng(0))
+    assert gyro.dtype == np.float32
+    assert not gyro[0].any()
+    assert not accel[0].any()
+    assert gyro[1].std() == pytest.approx(0.01 * np.sqrt(200), rel=0.1)
+    assert np.ptp(accel[1], axis=0).max() == 0
+    assert np.abs(accel[1]).max() > 0.1
+    with pytest.raises(ValueError, match="2 IMUs for 3 vehicles"):
+        measured(imus, np.zeros((3, 4, 3)), np.zeros((3, 4, 3)), 200.0, np.random.default_rng(0))
 
 
-def test_vibration_has_its_size_in_the_accelerometer_and_a_hundredth_in_the_gyroscope():
-    """Two tones a sin + b cos, a and b uniform within ± size / 2: a root mean square of size / √6."""
-    zero = np.zeros((2000, 100, 3), np.float32)
-    vibration = only(vibration=(6.0, 6.0), vibration_share=1.0)
-    gyro, accel, _ = augment(zero, zero, zero, vibration, 200.0, np.random.default_rng(0))
-    for signal, size in ((accel, 6.0), (gyro, 0.06)):
-        rms = np.sqrt(np.mean(signal.astype(float) ** 2, axis=(0, 1)))
-        np.testing.assert_allclose(rms, size / np.sqrt(6), rtol=0.05)
+def test_a_vibrating_imu_is_shaken_behind_its_low_pass():
+    still = np.zeros((1, 4000, 3))
+    worst = make_config("att-snn", data="x").imu
+    only = ImuSpec(vibration=worst.vibration)
+    filtered = only.model_copy(update={"accel": Sensor(low_pass_hz=15.0)})
+    sizes = [
+        measured(spec, still, still, 200.0, np.random.default_rng(0))[1].std() for spec in (only, filtered)
+    ]
+    assert sizes[0] > 1
+    assert sizes[1] < 0.1 * sizes[0]
 
 
-def test_lost_samples_are_missing_in_both_sensors_at_their_share():
-    zero = np.zeros((400, 500, 3), np.float32)
-    lossy = Augmentation(drop_share=0.5, drop_max=0.2)
-    gyro, accel, up = augment(zero, zero, zero, lossy, 200.0, np.random.default_rng(0))
-    np.testing.assert_array_equal(np.isnan(gyro), np.isnan(accel))
-    lost = np.isnan(gyro).all(2).mean(1)
-    assert 0.4 < (lost > 0).mean() < 0.6
-    assert lost.max() < 0.26
-    assert lost[lost > 0].mean() == pytest.approx(0.1, abs=0.02)
-    assert not np.isnan(up).any()
+def test_no_imu_is_worse_than_the_worst_and_half_are_calibrated():
+    worst, rng = make_config("att-snn", data="x").imu, np.random.default_rng(0)
+    imus = [draw_imu(worst, False, rng) for _ in range(300)]
+    assert all(0 < imu.gyro.turn_on <= worst.gyro.turn_on for imu in imus)
+    assert all(worst.accel.noise / 6.01 < imu.accel.noise <= worst.accel.noise for imu in imus)
+    assert all(15 <= imu.gyro.low_pass_hz == imu.accel.low_pass_hz <= 90 for imu in imus)
+    assert all(np.abs(imu.mounting_deg).max() <= 5 for imu in imus)
+    saturated = [imu.gyro.saturation for imu in imus if imu.gyro.saturation]
+    assert 0.1 < len(saturated) / 300 < 0.2
+    assert 1 <= min(saturated) < max(saturated) <= 30
+    for share, found in (
+        (0.5, [imu.vibration is not None for imu in imus]),
+        (0.5, [any(imu.lever_arm) for imu in imus]),
+        (0.2, [imu.dropped > 0 for imu in imus]),
+    ):
+        assert np.mean(found) == pytest.approx(share, abs=0.1)
+    calibrated = [draw_imu(worst, True, rng) for _ in range(300)]
+    assert max(imu.gyro.turn_on for imu in calibrated) <= 0.1 * worst.gyro.turn_on
+    assert max(np.abs(imu.mounting_deg).max() for imu in calibrated) <= 0.5
+    assert draw_imu(ImuSpec(), False, rng) == ImuSpec()
 
 
-def test_rough_sensors_are_drawn_within_their_limits():
-    rng, n, steps = np.random.default_rng(0), 400, 400
-    still, force = np.zeros((n, steps, 3), np.float32), np.zeros((n, steps, 3), np.float32)
-    force[..., 2] = 9.81
-    up = force / np.float32(9.81)
-    gyro, accel, _ = augment(still, force, up, only(gyro_bias_max=0.1), 200.0, rng)
-    assert 0.08 < np.abs(gyro).max() <= 0.1
-    assert np.ptp(gyro, axis=1).max() == 0
-    np.testing.assert_array_equal(accel, force)
-    _, accel, _ = augment(still, force, up, only(mounting_max_deg=5.0), 200.0, rng)
-    tilt = np.degrees(np.arccos(accel[:, 0, 2] / 9.81))
-    assert 3.0 < tilt.max() < 7.1  # roll and pitch of at most 5° each
-    vibrating = only(vibration=(1.0, 2.0), vibration_share=0.5)
-    _, accel, _ = augment(still, force, up, vibrating, 200.0, rng)
-    spread = accel.std(axis=1).max(axis=1)
-    assert 0.4 < (spread > 0.05).mean() < 0.6
-    assert spread.max() < 2.0
-
-
-def test_readings_are_low_passed_and_delayed():
+def test_interrupted_streams_repeat_a_sample_and_have_false_rates():
     rng = np.random.default_rng(0)
-    step = np.zeros((200, 400, 3), np.float32)
-    step[:, 200:] = 1.0
-    gyro, _, _ = augment(step, step, step, only(delay_max_s=0.02), 200.0, rng)
-    assert set(np.argmax(gyro[..., 0] > 0.5, axis=1)) == {200, 201, 202, 203, 204}
-    gyro, _, _ = augment(step, step, step, only(low_pass_hz=(10.0, 10.0)), 200.0, rng)
-    assert gyro[0, 200 + 3, 0] == pytest.approx(1 - np.exp(-2 * np.pi * 10 * 4 / 200), abs=1e-3)
+    readings = (rng.normal(size=(400, 400, 3)), rng.normal(size=(400, 400, 3)))
+    interrupt(readings, CircuitTraining().interrupted_share, 200.0, rng)
+    repeated = (np.diff(readings[1], axis=1) == 0).all(2).sum(1)
+    assert 0.1 < (repeated > 0).mean() < 0.3
+    assert 80 < repeated.max() < 100
+    false = np.abs(readings[0]) > 8
+    assert 0 < false.any(2).sum(1).max() <= 10
+    assert false.any(1).sum(1).max() == 1

@@ -2,6 +2,8 @@ import pytest
 
 from quadsim.cli.options import fields_of
 from quadsim.config.toml import load_toml, preset_names
+from quadsim.dataset import open_dataset
+from training.circuit.flight_sets import own_flights
 from training.config import CircuitRun, TrainConfig, TrainingRecipe, is_of_circuit, make_config
 
 CONTROL, CIRCUIT = {"preset": "control-attitude", "data": ()}, {"preset": "att-snn"}
@@ -20,12 +22,8 @@ CONTROL, CIRCUIT = {"preset": "control-attitude", "data": ()}, {"preset": "att-s
         ({"inputs": {"gyros": 4.0}}, r'unknown key "inputs\.gyros"; did you mean "gyro"\?'),
         ({"data": ()}, "data: at least one dataset to train on is required"),
         ({"data": ("x.zarr", "./x.zarr")}, "a dataset is given twice"),
-        (
-            {"augmentation": {"vibration": (3.0, 1.0)}},
-            r"vibration = .*should be the least and then the largest",
-        ),
-        ({"augmentation": {"accel_noise": -1}}, r"augmentation\.accel_noise = -1"),
-        ({"gyro_noise": 0.5}, r'did you mean "augmentation\.gyro_noise"'),
+        ({"imu": "rouhg"}, r'unknown imu "rouhg"; did you mean "rough"'),
+        ({"imu": {"accel": {"noise": -1}}}, r"imu\.accel\.noise = -1|accel\.noise = -1"),
         ({"model": "att-rnn", "hidden": 4}, r"att-rnn: layers of 100 and 4 units, should be equal"),
         (CONTROL | {"quantised": False}, "is trained quantised"),
         ({"preset": "control-attitude"}, "leave out data"),
@@ -33,7 +31,7 @@ CONTROL, CIRCUIT = {"preset": "control-attitude", "data": ()}, {"preset": "att-s
         (CONTROL | {"control": {"flight_s": 1.0}}, r"should be at most control\.flight_s"),
         (CONTROL | {"control": {"flghts": 3}}, 'did you mean "flights"'),
         (CONTROL | {"control": {"teacher_share": 2.0}}, r"control\.teacher_share"),
-        (CIRCUIT | {"data": ()}, "data: at least one dataset to train on is required"),
+        ({"preset": "tune", "data": ()}, "data: at least one dataset to train on is required"),
         (CIRCUIT | {"gates": 2}, "gates = 2: should be 8 to 256"),
         (CIRCUIT | {"epochs": 3}, "--epochs is not for the circuit of att-snn"),
         (CIRCUIT | {"model": "att-rnn"}, "--model is not for the circuit of att-snn"),
@@ -57,15 +55,26 @@ def test_every_shipped_preset_loads(name, model):
 
 def test_a_preset_of_the_user_s_is_a_file(tmp_path):
     mine = tmp_path / "mine.toml"
-    mine.write_text("epochs = 7\n[augmentation]\ngyro_bias = 0.02\n")
-    config = make_config(mine, data="x", augmentation={"accel_bias": 0.3})
-    bias = config.augmentation
-    assert (config.epochs, bias.gyro_bias, bias.accel_bias, bias.accel_noise) == (7, 0.02, 0.3, 0.004)
-    mine.write_text("[augmentation]\ngyro_bia = 0.02\n")
-    with pytest.raises(
-        ValueError, match=r'mine\.toml: unknown key "augmentation\.gyro_bia"; did you mean "gyro'
-    ):
+    mine.write_text("epochs = 7\n[imu.gyro]\nturn_on = 0.02\n")
+    config = make_config(mine, data="x", imu={"accel": {"turn_on": 0.3}})
+    gyro, accel = config.imu.gyro, config.imu.accel
+    assert (config.epochs, gyro.turn_on, accel.turn_on, accel.noise) == (7, 0.02, 0.3, 0.0)
+    mine.write_text("[imu.gyro]\nturn_onn = 0.02\n")
+    with pytest.raises(ValueError, match=r'unknown key "gyro\.turn_onn"; did you mean "turn_on"'):
         make_config(mine, data="x")
+
+
+def test_a_circuit_without_data_makes_the_flights_of_its_preset(tmp_path):
+    config = make_config(
+        "att-snn", seed=2, flight_sets=[{"recipe": "hand-held", "flights": {"crazyflie": 1}}]
+    )
+    seen = []
+    made = own_flights(config, tmp_path, lambda done, total: seen.append((done, total)))
+    assert seen[-1] == (1, 1)
+    assert open_dataset(made.data[0]).sizes["time"] == 12_000
+    assert own_flights(config, tmp_path).data == made.data
+    with pytest.raises(ValueError, match="seed"):
+        own_flights(config.model_copy(update={"seed": 3}), tmp_path)
 
 
 def test_every_field_is_documented():
@@ -74,5 +83,5 @@ def test_every_field_is_documented():
 
 
 def test_dotted_settings_of_the_command_line_add_up():
-    found = fields_of(["augmentation.gyro_noise=0.5", "augmentation.accel_noise=0.25", "epochs=3"])
-    assert found == {"augmentation": {"gyro_noise": 0.5, "accel_noise": 0.25}, "epochs": 3}
+    found = fields_of(["inputs.gyro=0.5", "inputs.accel_offset=[0,0,1]", "epochs=3"])
+    assert found == {"inputs": {"gyro": 0.5, "accel_offset": [0, 0, 1]}, "epochs": 3}

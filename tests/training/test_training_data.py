@@ -9,8 +9,7 @@ from training.data import flights_of, load_training_flights, network_inputs, spl
 
 def test_windows_of_a_stream_are_successive(dataset):
     flights = load_training_flights([dataset])
-    quiet = {"gyro_noise": 0, "accel_noise": 0, "accel_bias": 0}
-    config = make_config(data="x", batches=12, batch_size=20, windows_per_stream=4, augmentation=quiet)
+    config = make_config(data="x", batches=12, batch_size=20, windows_per_stream=4, imu="perfect")
     batches = list(windows(flights, config, 100, (0, 1)))
     assert batches[0].reset.all()
     reset = np.array([batch.reset for batch in batches[1:]])
@@ -60,7 +59,6 @@ def test_networks_are_fed_scaled_readings_and_nothing_else(dataset, model):
         batches=3,
         batch_size=8,
         windows_per_stream=2,
-        augmentation={"drop_share": 0.0},
     )
     scaling = config.inputs
     for batch in windows(load_training_flights([dataset]), config, 100, (0, 1)):

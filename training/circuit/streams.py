@@ -13,9 +13,10 @@ from estimators.circuit.parameters import GRAVITY
 from quadsim.rotation import multiply_core, normalize_core, quat_rotate_inverse
 from quadsim.runs.compiled import njit
 
-from ..augment import augment
+from ..augment import measured, turned_and_mirrored
 from ..config import CircuitTraining
 from ..data import SIGNALS, TrainingFlights
+from .imus import draw_imu
 
 Floats = NDArray[np.float32]
 BLOCK = 32
@@ -23,8 +24,8 @@ BLOCK = 32
 EARLY = 0.25
 """Share of the streams that begin where a flight does."""
 RIDGE, FALSE_RATE = 1e-3, 0.3
-CALIBRATED = 0.1
-"""Errors of a calibrated IMU, relative to those of one that is not."""
+GAP_S, FALSE_SAMPLES, FALSEST = 0.5, 10, 60.0
+"""Longest time without samples [s], most false rates in a row, and the largest of them [rad/s]."""
 SWAY_HZ, SWAY_M, SWAY_MAX = (0.3, 2.5), 0.5, 40.0
 """Frequency of a hand's translation, its largest amplitude [m] and its largest acceleration [m/s²]. A hand's
 position is bounded, and its acceleration may be large."""
@@ -66,22 +67,21 @@ def draw_streams(
     flights, hands = ([part for part in parts if bool(part.vehicles) is flown] for flown in (True, False))
     hand_share = recipe.hand_share if flights and hands else float(not flights)
     count, blocks = recipe.streams, -(-recipe.streams // BLOCK)
-    kinds, fine = rng.random(blocks) < hand_share, rng.random(blocks) < recipe.calibrated_share
-    errors = "gyro_bias_max", "accel_bias_max", "scale_max", "mounting_max_deg"
-    less = {name: CALIBRATED * getattr(recipe.augmentation, name) for name in errors}
-    calibrated = recipe.augmentation.model_copy(update=less)
+    kinds = rng.random(blocks) < hand_share
     rooms = [np.empty((count, *shape), np.float32) for shape in ((steps, 3), (steps, 3), (steps, 3), (3,))]
     done = Streams(rooms[0], rooms[1], rooms[2], rooms[3], rng.random(count) < recipe.known_share)
     for k, by_hand in enumerate(kinds):
         part = slice(k * BLOCK, min((k + 1) * BLOCK, count))
-        swaying = recipe.sway_share if by_hand else 0.0
-        readings = _block(hands if by_hand else flights, part.stop - part.start, steps, swaying, rng)
-        rate_hz = (hands if by_hand else flights)[0].rate_hz
-        gyro, accel, up = augment(*readings, calibrated if fine[k] else recipe.augmentation, rate_hz, rng)
-        done.angle[part] = held(gyro) / rate_hz
-        done.force[part] = held(accel) / GRAVITY
+        sets, swaying = (hands, recipe.sway_share) if by_hand else (flights, 0.0)
+        n, rate_hz = part.stop - part.start, sets[0].rate_hz
+        rate, force, up = turned_and_mirrored(*_block(sets, n, steps, swaying, rng), rng)
+        imus = [draw_imu(recipe.imu, rng.random() < recipe.calibrated_share, rng) for _ in range(n)]
+        readings = measured(imus, rate, force, rate_hz, rng)
+        interrupt(readings, recipe.interrupted_share, rate_hz, rng)
+        done.angle[part] = readings[0] / rate_hz
+        done.force[part] = readings[1] / GRAVITY
         done.up[part] = up
-        done.bias[part] = bias_of(done.angle[part] * rate_hz, up, rate_hz)
+        done.bias[part] = bias_of(readings[0], up, rate_hz)
     return done
 
 
@@ -98,6 +98,7 @@ def _block(
         row = rng.integers(len(flights))
         streams.append([getattr(flights, name)[row, first : first + steps] for name in SIGNALS])
     rate, force, _, _, up = (np.stack(each) for each in zip(*streams, strict=True))
+    rate, force = held(rate), held(force)
     return rate, sway(rate, force, up, swaying, sets[0].rate_hz, rng) if swaying else force, up
 
 
@@ -113,6 +114,21 @@ def bias_of(gyro: Floats, up: Floats, rate_hz: float) -> Floats:
     right = middle + np.clip(right - middle, -FALSE_RATE, FALSE_RATE)
     square = np.eye(3) * (1 + RIDGE) - np.einsum("nti,ntj->nij", up, up) / up.shape[1]
     return np.linalg.solve(square, right.mean(1)[..., None])[..., 0]
+
+
+def interrupt(
+    readings: tuple[Floats, Floats], share: float, rate_hz: float, rng: np.random.Generator
+) -> None:
+    """Interrupt a share of the streams in place: no samples for a while, then false rates about one axis."""
+    n, steps, _ = readings[0].shape
+    for row in np.flatnonzero(rng.random(n) < share):
+        first, length = rng.integers(1, steps), int(rng.uniform(0, GAP_S) * rate_hz)
+        for each in readings:
+            each[row, first : first + length] = each[row, first - 1]
+        first, axis = rng.integers(steps), rng.integers(3)
+        readings[0][row, first : first + rng.integers(1, FALSE_SAMPLES + 1), axis] = rng.uniform(
+            -FALSEST, FALSEST
+        )
 
 
 def held(readings: Floats) -> Floats:

@@ -1,0 +1,41 @@
+"""The flights that a circuit learns from where no data are given, as the preset lists them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from quadsim.config.toml import merged, parse
+from quadsim.dataset.generation import generate
+from quadsim.dataset.store import Progress
+from quadsim.flight.recipe import Recipe, load_recipe
+
+from ..config import CircuitRun
+
+FLIGHT_S = 60.0
+
+
+def own_flights(config: CircuitRun, out: Path, progress: Progress = lambda done, total: None) -> CircuitRun:
+    """The run with the datasets of its preset as data, which are made in `out` unless they are there.
+
+    Raises:
+        ValueError: An unknown recipe, vehicle or key, or another dataset in the way.
+    """
+    recipes = []
+    for each in config.flight_sets:
+        base = load_recipe(each.recipe).model_dump(mode="json")
+        for vehicle, flights in each.flights.items():
+            changes = {"vehicle": vehicle} | each.changes
+            recipes.append((parse(merged(base, changes), Recipe, each.recipe), flights))
+    total, done, paths = sum(flights for _, flights in recipes), 0, []
+    for index, (recipe, flights) in enumerate(recipes):
+        seed = int(np.random.SeedSequence([config.seed, index]).generate_state(1)[0])
+
+        def report(part: int, _: int, before: int = done) -> None:
+            progress(before + part, total)
+
+        path = out / f"{index:02d}.zarr"
+        paths.append(str(generate(recipe, flights, FLIGHT_S, path, seed=seed, progress=report)))
+        done += flights
+    return config.model_copy(update={"data": tuple(paths)})

@@ -1,0 +1,52 @@
+"""The IMUs that a circuit learns from: no two are alike, and none is worse than a given one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from quadsim.imu.spec import ImuSpec
+
+CALIBRATED = 0.1
+"""Constant errors of a calibrated IMU, relative to the worst."""
+NOISE = 6.0
+"""Largest ratio of the noise of the worst IMU, and of its vibration, to that of another one."""
+LOW_PASS_MAX_HZ = 90.0
+RANGE = 30.0
+"""Largest ratio of the range of a sensor to that of the worst."""
+VIBRATE, DISPLACED, LOSE, SATURATE = 0.5, 0.5, 0.2, 0.15
+"""Shares of the IMUs that vibrate, sit off the centre of mass, lose samples, and saturate."""
+
+
+def draw_imu(worst: ImuSpec, calibrated: bool, rng: np.random.Generator) -> ImuSpec:
+    """An IMU whose errors are parts of those of `worst`.
+
+    Args:
+        worst: The IMU with the largest errors, the lowest corner of the low-pass and the smallest range.
+        calibrated: Whether biases, scales, misalignment and mounting are a tenth of the worst.
+        rng: Source of all draws.
+    """
+    part = CALIBRATED if calibrated else 1.0
+    low_pass = np.exp(rng.uniform(0.0, np.log(LOW_PASS_MAX_HZ / (worst.gyro.low_pass_hz or LOW_PASS_MAX_HZ))))
+    saturates = rng.random() < SATURATE
+    sensors = {}
+    for name, sensor in worst.sensors.items():
+        noise, turn_on, scale_factor, misalignment = rng.random(4)
+        errors = {
+            "noise": sensor.noise * NOISE**-noise,
+            "turn_on": sensor.turn_on * part * turn_on,
+            "scale_factor": sensor.scale_factor * part * scale_factor**2,
+            "misalignment": sensor.misalignment * part * misalignment**2,
+            "low_pass_hz": sensor.low_pass_hz * low_pass,
+            "saturation": sensor.saturation
+            and (sensor.saturation * RANGE ** rng.random() if saturates else None),
+        }
+        sensors[name] = sensor.model_copy(update=errors)
+    mounting = part * rng.random() ** 2 * rng.uniform(-1.0, 1.0, 3) * worst.mounting_deg
+    arm = (rng.random() < DISPLACED) * rng.uniform(-1.0, 1.0, 3) * worst.lever_arm
+    dropped = (rng.random() < LOSE) * rng.random() * worst.dropped
+    vibration, size = worst.vibration, NOISE ** -rng.random()
+    if vibration is not None:
+        shaken = {name: tuple(size * np.array(getattr(vibration, name))) for name in ("gyro", "accel")}
+        vibration = vibration.model_copy(update=shaken) if rng.random() < VIBRATE else None
+    others = {"mounting_deg": tuple(mounting), "lever_arm": tuple(arm), "dropped": dropped}
+    return worst.model_copy(update=sensors | others | {"vibration": vibration})
