@@ -165,8 +165,8 @@ class CircuitTraining(Strict):
     sway_share: Share = 0.7
     """Share of the streams in the hand to which translation is added."""
     calibrated_share: Share = 0.5
-    """Share of the streams whose biases, scales and mounting are a tenth of those of the worst IMU."""
-    interrupted_share: Share = 0.2
+    """Share of the streams whose biases, scales and mounting are the least part of those of the worst IMU."""
+    interrupted_share: Share = 0.15
     """Share of the streams without samples for up to half a second, and with a few false rates."""
     known_share: Share = 0.35
     """Share of the streams that begin with attitude and bias known, as the later parts of a flight do."""

@@ -56,13 +56,13 @@ def test_a_vibrating_imu_is_shaken_behind_its_low_pass():
     assert sizes[1] < 0.1 * sizes[0]
 
 
-def test_no_imu_is_worse_than_the_worst_and_half_are_calibrated():
+def test_no_imu_is_worse_than_the_worst_and_calibrated_ones_have_the_least_errors():
     worst, rng = make_config("att-snn", data="x").imu, np.random.default_rng(0)
     imus = [draw_imu(worst, False, rng) for _ in range(300)]
-    assert all(0 < imu.gyro.turn_on <= worst.gyro.turn_on for imu in imus)
+    assert all(0.2 <= imu.gyro.turn_on / worst.gyro.turn_on <= 1 for imu in imus)
     assert all(worst.accel.noise / 6.01 < imu.accel.noise <= worst.accel.noise for imu in imus)
     assert all(15 <= imu.gyro.low_pass_hz == imu.accel.low_pass_hz <= 90 for imu in imus)
-    assert all(np.abs(imu.mounting_deg).max() <= 5 for imu in imus)
+    assert all(np.abs(imu.mounting_deg).max() <= 4 for imu in imus)
     saturated = [imu.gyro.saturation for imu in imus if imu.gyro.saturation]
     assert 0.1 < len(saturated) / 300 < 0.2
     assert 1 <= min(saturated) < max(saturated) <= 30
@@ -73,8 +73,8 @@ def test_no_imu_is_worse_than_the_worst_and_half_are_calibrated():
     ):
         assert np.mean(found) == pytest.approx(share, abs=0.1)
     calibrated = [draw_imu(worst, True, rng) for _ in range(300)]
-    assert max(imu.gyro.turn_on for imu in calibrated) <= 0.1 * worst.gyro.turn_on
-    assert max(np.abs(imu.mounting_deg).max() for imu in calibrated) <= 0.5
+    assert {imu.gyro.turn_on for imu in calibrated} == {0.2 * worst.gyro.turn_on}
+    assert max(np.abs(imu.mounting_deg).max() for imu in calibrated) <= 0.8
     assert draw_imu(ImuSpec(), False, rng) == ImuSpec()
 
 
@@ -83,7 +83,7 @@ def test_interrupted_streams_repeat_a_sample_and_have_false_rates():
     readings = (rng.normal(size=(400, 400, 3)), rng.normal(size=(400, 400, 3)))
     interrupt(readings, CircuitTraining().interrupted_share, 200.0, rng)
     repeated = (np.diff(readings[1], axis=1) == 0).all(2).sum(1)
-    assert 0.1 < (repeated > 0).mean() < 0.3
+    assert 0.08 < (repeated > 0).mean() < 0.22
     assert 80 < repeated.max() < 100
     false = np.abs(readings[0]) > 8
     assert 0 < false.any(2).sum(1).max() <= 10

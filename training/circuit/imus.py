@@ -6,8 +6,8 @@ import numpy as np
 
 from quadsim.imu.spec import ImuSpec
 
-CALIBRATED = 0.1
-"""Constant errors of a calibrated IMU, relative to the worst."""
+CALIBRATED = 0.2
+"""Least part of the worst IMU's constant errors, which a calibrated one has."""
 NOISE = 6.0
 """Largest ratio of the noise of the worst IMU, and of its vibration, to that of another one."""
 LOW_PASS_MAX_HZ = 90.0
@@ -22,26 +22,28 @@ def draw_imu(worst: ImuSpec, calibrated: bool, rng: np.random.Generator) -> ImuS
 
     Args:
         worst: The IMU with the largest errors, the lowest corner of the low-pass and the smallest range.
-        calibrated: Whether biases, scales, misalignment and mounting are a tenth of the worst.
+        calibrated: Whether biases, scales, misalignment and mounting are the least part of the worst.
         rng: Source of all draws.
     """
-    part = CALIBRATED if calibrated else 1.0
+
+    def part() -> float:
+        return CALIBRATED if calibrated else rng.uniform(CALIBRATED, 1.0)
+
     low_pass = np.exp(rng.uniform(0.0, np.log(LOW_PASS_MAX_HZ / (worst.gyro.low_pass_hz or LOW_PASS_MAX_HZ))))
     saturates = rng.random() < SATURATE
     sensors = {}
     for name, sensor in worst.sensors.items():
-        noise, turn_on, scale_factor, misalignment = rng.random(4)
         errors = {
-            "noise": sensor.noise * NOISE**-noise,
-            "turn_on": sensor.turn_on * part * turn_on,
-            "scale_factor": sensor.scale_factor * part * scale_factor**2,
-            "misalignment": sensor.misalignment * part * misalignment**2,
+            "noise": sensor.noise * NOISE ** -rng.random(),
+            "turn_on": sensor.turn_on * part(),
+            "scale_factor": sensor.scale_factor * part(),
+            "misalignment": sensor.misalignment * part(),
             "low_pass_hz": sensor.low_pass_hz * low_pass,
             "saturation": sensor.saturation
             and (sensor.saturation * RANGE ** rng.random() if saturates else None),
         }
         sensors[name] = sensor.model_copy(update=errors)
-    mounting = part * rng.random() ** 2 * rng.uniform(-1.0, 1.0, 3) * worst.mounting_deg
+    mounting = part() * rng.uniform(-1.0, 1.0, 3) * worst.mounting_deg
     arm = (rng.random() < DISPLACED) * rng.uniform(-1.0, 1.0, 3) * worst.lever_arm
     dropped = (rng.random() < LOSE) * rng.random() * worst.dropped
     vibration, size = worst.vibration, NOISE ** -rng.random()
