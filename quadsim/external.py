@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .config.ranges import Between, Delay, Speed
 from .config.toml import Strict, load_toml
@@ -17,12 +16,13 @@ from .seeding import Seed, vehicle_seeds
 
 BLOCK = 64
 """Measurements for which noise is drawn at once."""
-MEASUREMENT = np.dtype([("position", "f8", 3), ("velocity", "f8", 3), ("yaw", "f8")])
+NUMBERS = 7
+"""Of a measurement: position, velocity and yaw."""
 SENSOR = np.dtype(
     [
         ("ratio", "f8"),  # measurements per sample of the loop
         ("delay", "i8"),  # samples
-        ("sd", MEASUREMENT),  # standard deviation of the noise
+        ("sd", "f8", NUMBERS),  # standard deviation of the noise
         ("next_noise", "i8"),
     ]
 )
@@ -53,7 +53,7 @@ def load_external(source: str | Path) -> ExternalSpec:
 
 
 class ExternalSensor:
-    """The external sensors of n vehicles, one sample at a time.
+    """The external sensors of n vehicles: their records, noise and queues are what `deliver` takes.
 
     Args:
         spec: The sensor.
@@ -64,51 +64,48 @@ class ExternalSensor:
 
     def __init__(self, spec: ExternalSpec, n: int, rate_hz: float, seed: Seed) -> None:
         ratio, delay = min((spec.rate_hz or rate_hz) / rate_hz, 1.0), round(spec.delay_s * rate_hz)
-        self._sensors = np.zeros(n, SENSOR)
-        self._sensors["ratio"], self._sensors["delay"] = ratio, delay
-        sd = self._sensors["sd"]
-        sd["position"], sd["velocity"] = spec.position_noise, spec.velocity_noise
-        sd["yaw"] = np.radians(spec.yaw_noise_deg)
+        sd = spec.position_noise, spec.velocity_noise, np.radians(spec.yaw_noise_deg)
+        self.sensors = np.zeros(n, SENSOR)
+        self.sensors["ratio"], self.sensors["delay"], self.sensors["next_noise"] = ratio, delay, BLOCK
+        self.sensors["sd"] = np.repeat(sd, (3, 3, 1))
+        self.noise = np.zeros((n, BLOCK, NUMBERS))
+        self.queue = np.zeros((n, int(delay * ratio) + 2, NUMBERS))
         self._random = [np.random.default_rng(each) for each in vehicle_seeds(seed, n)]
-        self._noise = np.zeros((n, BLOCK), MEASUREMENT)
-        self._draw(np.arange(n))
-        self._queue = np.zeros((n, int(delay * ratio) + 2), MEASUREMENT)
+        self.draw()
 
-    def measure(self, state: NDArray[np.void]) -> None:
-        """Replace the true position, velocity and yaw of the next sample by the newest available measurement.
-
-        Args:
-            state: (n,) records of `quadsim.control.records.MEASURED`; `k` = 0 resets a vehicle.
-        """
-        if _deliver(self._sensors, self._noise, self._queue, state):
-            self._draw(np.flatnonzero(self._sensors["next_noise"] == BLOCK))
-
-    def _draw(self, ids: NDArray[np.int64]) -> None:
-        for i in ids:
-            self._noise[i].view(np.float64)[:] = self._random[i].standard_normal(self._noise[i].nbytes // 8)
-        self._sensors["next_noise"][ids] = 0
+    def draw(self) -> None:
+        """Draw noise for the sensors that have spent theirs."""
+        for i in np.flatnonzero(self.sensors["next_noise"] == BLOCK):
+            self._random[i].standard_normal(out=self.noise[i])
+            self.sensors["next_noise"][i] = 0
 
 
 @njit(cache=True)
-def _deliver(sensors, noise, queue, state):
-    """Measure where one is due, and write the newest that has arrived; returns how many noises are spent.
+def deliver(p, noise, queue, x):
+    """Replace the true position, velocity and yaw of a vehicle by the newest measurement that has arrived.
 
-    Measurement m is taken at the first sample k with ⌊k · ratio⌋ = m, and waits in queue (n, slots).
+    Measurement m is taken at the first sample k with ⌊k · ratio⌋ = m.
+
+    Args:
+        p: Record of `SENSOR`.
+        noise: (BLOCK, NUMBERS) standard normal numbers.
+        queue: (slots, NUMBERS), where measurements wait.
+        x: Record of `quadsim.control.records.MEASURED`; `k` = 0 resets the vehicle.
+
+    Returns:
+        Whether the noise is spent.
     """
-    spent, slots = 0, queue.shape[1]
-    for i in range(state.shape[0]):
-        p, x, k = sensors[i], state[i], state[i].k
-        m = int(k * p.ratio + 1e-9)
-        if k == 0 or m > int((k - 1) * p.ratio + 1e-9):
-            taken, error, sd = queue[i, m % slots], noise[i, p.next_noise], p.sd
-            for j in range(3):
-                taken.position[j] = x.position[j] + sd.position[j] * error.position[j]
-                taken.velocity[j] = x.velocity[j] + sd.velocity[j] * error.velocity[j]
-            taken.yaw = x.yaw + sd.yaw * error.yaw
-            p.next_noise += 1
-            spent += p.next_noise == noise.shape[1]
-        newest = queue[i, int(max(k - p.delay, 0) * p.ratio + 1e-9) % slots]
+    k, slots = x.k, queue.shape[0]
+    m = int(k * p.ratio + 1e-9)
+    if k == 0 or m > int((k - 1) * p.ratio + 1e-9):
+        taken, error = queue[m % slots], noise[p.next_noise]
         for j in range(3):
-            x.position[j], x.velocity[j] = newest.position[j], newest.velocity[j]
-        x.yaw = newest.yaw
-    return spent
+            taken[j] = x.position[j] + p.sd[j] * error[j]
+            taken[3 + j] = x.velocity[j] + p.sd[3 + j] * error[3 + j]
+        taken[6] = x.yaw + p.sd[6] * error[6]
+        p.next_noise += 1
+    newest = queue[int(max(k - p.delay, 0) * p.ratio + 1e-9) % slots]
+    for j in range(3):
+        x.position[j], x.velocity[j] = newest[j], newest[3 + j]
+    x.yaw = newest[6]
+    return p.next_noise == noise.shape[0]

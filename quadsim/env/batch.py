@@ -21,7 +21,6 @@ from ..pictures.render import Image, Scene, View
 from .made import Made, controller_for, made_for, scenario_for
 from .spaces import (
     INFORMATION,
-    OBSERVATION,
     OBSERVATION_SPACE,
     action_scale,
     observe,
@@ -76,10 +75,9 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         self.single_action_space = Box(-1.0, 1.0, self.scale.shape, np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
+        self.actions = np.zeros(self.action_space.shape or ())
         self._random: list[np.random.Generator] = []
-        self.done, self._ended = np.zeros(num_envs, dtype=bool), 0
-        self._seen = np.zeros(num_envs, OBSERVATION)
-        self._observation = self._seen.view(np.float32).reshape(num_envs, -1)
+        self.done, self.ended = np.zeros(num_envs, dtype=bool), 0
         self._scene: Scene | None = None
 
     def _mission(self, scenario: Scenario) -> Mission:
@@ -101,9 +99,9 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         else:
             self.mission.restart(every, self._seeds(every))
             self.mission.sense()
-        observation, outcome = self.observe()
-        self.done[:], self._ended = False, 0  # also where a start is beyond the limits
-        return observation, self._masked(outcome)
+        outcome = self.observe()
+        self.done[:], self.ended = False, 0  # also where a start is beyond the limits
+        return outcome["observation"].copy(), self._masked(outcome)
 
     def _choose(self, options: dict[str, Any] | None) -> bool:
         """Take the scenario that options ask for, or the environment's own; whether it is another one.
@@ -143,15 +141,16 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         self, actions: ArrayLike
     ) -> tuple[NDArray[np.float32], NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
         """Advance one sample with actions (n, numbers); episodes that ended in the last step restart."""
-        actions = shaped(actions, (self.num_envs, *self.scale.shape))
-        observation, outcome = self.advance(actions)
+        take(actions, self.actions)
+        outcome = self.advance()
         info, crashed = self._masked(outcome), outcome["crashed"].copy()
         if crashed.any():
             info |= {"cause": self.mission.cause.copy(), "_cause": crashed.copy()}
-        return observation, outcome["reward"].copy(), crashed, outcome["over"].copy(), info
+        observation, reward, over = (outcome[name].copy() for name in ("observation", "reward", "over"))
+        return observation, reward, crashed, over, info
 
-    def advance(self, actions: Array) -> tuple[NDArray[np.float32], NDArray[np.void]]:
-        """Fly one sample: observations (n, 17) and records (n,) of `outcome_dtype`, both new.
+    def advance(self) -> NDArray[np.void]:
+        """Fly one sample with `actions`; what comes of it, new records (n,) of `outcome_dtype`.
 
         Raises:
             ValueError: An action is not finite, or there was no reset.
@@ -159,9 +158,9 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         if not self._random:
             raise ValueError("step was called before reset")
         mission = self.mission
-        if not to_command(self._index, actions, self.scale, self._hover_rotor_vel, mission.records):
+        if not to_command(self._index, self.actions, self.scale, self._hover_rotor_vel, mission.records):
             raise ValueError("an action is not a finite number; has the policy diverged?")
-        if self._ended:
+        if self.ended:
             mission.move(self._level)
             again = np.flatnonzero(self.done)
             mission.restart(again, self._seeds(again))
@@ -170,11 +169,11 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
             mission.step(self._level)
         return self.observe()
 
-    def observe(self) -> tuple[NDArray[np.float32], NDArray[np.void]]:
+    def observe(self) -> NDArray[np.void]:
         """What `advance` returns, of the present sample."""
-        mission, outcome = self.mission, np.empty(self.num_envs, self._outcome)
-        self._ended = observe(mission.records, mission.steps, self.done, self._seen, outcome)
-        return self._observation.copy(), outcome
+        outcome = np.empty(self.num_envs, self._outcome)
+        self.ended = observe(self.mission.records, self.mission.steps, self.done, outcome)
+        return outcome
 
     def _masked(self, outcome: NDArray[np.void]) -> dict[str, Any]:
         """Information in Gymnasium's form: each key with a mask of the vehicles that have it."""
@@ -204,16 +203,15 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         )
 
 
-def shaped(action: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """An action as floats.
+def take(action: ArrayLike, out: Array) -> None:
+    """Copy an action.
 
     Raises:
-        ValueError: It has another shape.
+        ValueError: It has another shape, or is not numbers.
     """
-    action = np.asarray(action, dtype=np.float64)
-    if action.shape != shape:
-        raise ValueError(f"an action has shape {action.shape}; it must be {shape}")
-    return action
+    if np.shape(action) != out.shape:
+        raise ValueError(f"an action has shape {np.shape(action)}; it must be {out.shape}")
+    out[:] = action
 
 
 def _whole(seed: int | None) -> int | None:

@@ -12,7 +12,7 @@ from ..control.records import Level
 from ..flight.scenario import Scenario
 from ..flight.world import CAUSES
 from ..pictures.render import Image
-from .batch import QuadrotorVectorEnv, shaped
+from .batch import QuadrotorVectorEnv, take
 from .made import Made
 from .spaces import INFORMATION
 
@@ -143,7 +143,7 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
             1, estimator, scenario, level, rate_hz, duration_s, render_mode, controller
         )
         self.metadata = {**self.metadata, "render_fps": rate_hz}
-        self.render_mode = render_mode
+        self.render_mode, self._action = render_mode, self._batch.actions[0]
         self.observation_space = self._batch.single_observation_space
         self.action_space = self._batch.single_action_space
 
@@ -165,17 +165,15 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
         Raises:
             ValueError: An action of another shape or that is not finite, or the episode is over.
         """
-        if self._batch.done[0]:
+        if self._batch.ended:
             raise ValueError("the episode is over; call reset to begin another")
-        actions = shaped(action, self._batch.scale.shape)[None]
-        observation, outcome = self._batch.advance(actions)
-        row = outcome.item()
-        assert isinstance(row, tuple)
-        *hidden, reward, crashed, over = row
-        info = dict(zip(INFORMATION, hidden, strict=True))
+        take(action, self._action)
+        row: tuple[Any, ...] = self._batch.advance().item()
+        info = dict(zip(INFORMATION, row))  # noqa: B905  (the rest of the row is no information)
+        reward, observation, crashed, over = row[-4:]
         if crashed:
             info["cause"] = CAUSES[self._batch.mission.cause[0]]
-        return observation[0], reward, crashed, over, info
+        return observation, reward, crashed, over, info
 
     def render(self) -> Image | None:
         """A picture of the vehicle, (540, 960, 3); None without a render mode."""

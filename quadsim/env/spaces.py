@@ -11,23 +11,16 @@ from ..flight.world import FLYING
 from ..runs.compiled import njit
 from ..vehicle import GRAVITY, Vehicle
 
-OBSERVATION = np.dtype(
-    [
-        ("position_error", "f4", 3),
-        ("velocity_error", "f4", 3),
-        ("acceleration", "f4", 3),
-        ("roll_pitch", "f4", 2),
-        ("yaw_error", "f4"),
-        ("heading", "f4", 2),
-        ("gyro", "f4", 3),
-    ]
+POSITION_LIMIT, VELOCITY_LIMIT, ACCELERATION_LIMIT, RATE_LIMIT = 100.0, 50.0, 50.0, 50.0
+OBSERVATION_LIMIT = np.repeat(
+    [POSITION_LIMIT, VELOCITY_LIMIT, ACCELERATION_LIMIT, np.pi, 1.0, RATE_LIMIT], [3, 3, 3, 3, 2, 3]
 )
-"""One observation, see the table of `QuadrotorEnv`."""
+"""Largest value of each observation; what is larger is clipped."""
 
 
 @cache
 def outcome_dtype(rotors: int) -> np.dtype:
-    """What a step returns beside the observation, see the tables of `QuadrotorEnv`: information first."""
+    """What a step returns, see the tables of `QuadrotorEnv`: information first."""
     return np.dtype(
         [
             ("attitude", "f8", 3),
@@ -40,19 +33,16 @@ def outcome_dtype(rotors: int) -> np.dtype:
             ("position_cost", "f8"),
             ("velocity_cost", "f8"),
             ("reward", "f8"),
+            ("observation", "f4", OBSERVATION_LIMIT.shape),
             ("crashed", "?"),
             ("over", "?"),
-        ]
+        ],
+        align=True,
     )
 
 
-INFORMATION = (outcome_dtype(4).names or ())[:-3]
+INFORMATION = (outcome_dtype(4).names or ())[:-4]
 """Fields of an outcome that agents do not see."""
-POSITION_LIMIT, VELOCITY_LIMIT, ACCELERATION_LIMIT, RATE_LIMIT = 100.0, 50.0, 50.0, 50.0
-OBSERVATION_LIMIT = np.repeat(
-    [POSITION_LIMIT, VELOCITY_LIMIT, ACCELERATION_LIMIT, np.pi, 1.0, RATE_LIMIT], [3, 3, 3, 3, 2, 3]
-)
-"""Largest value of each observation; what is larger is clipped."""
 ACTION_SCALE: dict[Level, tuple[float, ...]] = {
     "position": (1.0, 1.0, 1.0, np.pi),
     "velocity": (3.0, 3.0, 3.0, np.pi),
@@ -114,35 +104,33 @@ def _clip(value, limit):
 
 
 @njit(cache=True)
-def observe(loops, steps, done, observation, outcome):
-    """Write what a step returns, (n,) records of `OBSERVATION` and `outcome_dtype`; how many episodes ended.
+def observe(loops, steps, done, outcomes):
+    """Write what a step returns, (n,) records of `outcome_dtype`; returns how many episodes have ended.
 
     `done` (n,) says which had ended before this step, which have no reward, and then which have ended now.
     """
     ended = 0
-    for i in range(observation.shape[0]):
-        out, row = observation[i], outcome[i]
-        flight, m, p = loops[i].flight, loops[i].measured, loops[i].vehicle
-        s, wanted = p.state, flight.target
+    for i in range(outcomes.shape[0]):
+        row, flight, m, p = outcomes[i], loops[i].flight, loops[i].measured, loops[i].vehicle
+        out, s, wanted = row.observation, p.state, flight.target
         distance = speed = 0.0  # squared errors
         for j in range(3):
-            out.position_error[j] = _clip(wanted.position[j] - m.position[j], POSITION_LIMIT)
-            out.velocity_error[j] = _clip(wanted.velocity[j] - m.velocity[j], VELOCITY_LIMIT)
-            out.acceleration[j] = _clip(wanted.acceleration[j], ACCELERATION_LIMIT)
-            out.gyro[j] = _clip(m.gyro[j], RATE_LIMIT)
+            out[j] = _clip(wanted.position[j] - m.position[j], POSITION_LIMIT)
+            out[3 + j] = _clip(wanted.velocity[j] - m.velocity[j], VELOCITY_LIMIT)
+            out[6 + j] = _clip(wanted.acceleration[j], ACCELERATION_LIMIT)
+            out[14 + j] = _clip(m.gyro[j], RATE_LIMIT)
             distance += (wanted.position[j] - s.position[j]) ** 2
             speed += (wanted.velocity[j] - s.velocity[j]) ** 2
             row.position[j], row.velocity[j], row.wind[j] = s.position[j], s.velocity[j], flight.wind[j]
         row.attitude_error = 0.0
         for j in range(2):
-            out.roll_pitch[j] = _clip(m.roll_pitch[j], np.pi)
+            out[9 + j] = _clip(m.roll_pitch[j], np.pi)
             row.attitude[j], row.estimate[j] = p.roll_pitch[j], m.roll_pitch[j]
             row.attitude_error += 0.5 * abs(m.roll_pitch[j] - p.roll_pitch[j])
         for j in range(s.rotor_vel.shape[0]):
             row.rotor_vel[j] = s.rotor_vel[j]
         error = wanted.yaw - m.yaw
-        out.yaw_error = np.arctan2(np.sin(error), np.cos(error))
-        out.heading[0], out.heading[1] = np.cos(m.yaw), np.sin(m.yaw)
+        out[11], out[12], out[13] = np.arctan2(np.sin(error), np.cos(error)), np.cos(m.yaw), np.sin(m.yaw)
         row.attitude[2], row.position_cost, row.velocity_cost = p.yaw, distance, 0.1 * speed
         row.crashed, row.over = flight.cause != FLYING, m.k >= steps
         row.reward = 0.0 if row.crashed or done[i] else 1.0 / (1.0 + distance + 0.1 * speed)

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from ..config.ranges import Engine
 from ..control.attitude_controller import InnerLoop, MakeController, made, start_own
 from ..control.cascade import Controller
-from ..control.records import LEVELS, Command, Level
+from ..control.records import LEVELS, POSITION, Command, Level
 from ..estimator import AttitudeEstimator, Readings, accepted_sensors, receives_truth, roll_pitch_of
-from ..external import ExternalSensor
+from ..external import ExternalSensor, ExternalSpec
 from ..imu.spec import ImuSpec
 from ..imu.stream import ImuStream
 from ..motion.rotors import state_dtype
@@ -90,7 +90,8 @@ class FlightLoop:
         flights = records["flight"]
         flights["min_cos_tilt"], flights["min_altitude"], flights["max_distance"] = -np.inf, -np.inf, np.inf
         self.target, self.air, self.cause = (flights[name] for name in ("target", "wind", "cause"))
-        self.estimator, self.external, self.corrupt = estimator, external, corrupt
+        self.estimator, self.corrupt = estimator, corrupt
+        self.external = external or ExternalSensor(ExternalSpec(), 0, rate_hz, 0)
         self._name = type(estimator).__name__
         self._observe = getattr(estimator, "observe", None) if receives_truth(estimator) else None
         self._accepted = () if estimator is None else accepted_sensors(estimator.update)
@@ -156,6 +157,14 @@ class FlightLoop:
             self.move(level, command, wind)
             self.sense()
 
+    def follow(self, samples: int) -> None:
+        """Advance by several samples of the plans, without IMU, estimator or external sensor."""
+        if self.plant.engine is None:
+            self._step(POSITION, self.plant.substeps, samples)
+        else:
+            for _ in range(samples):
+                self.step()
+
     def move(
         self, level: Level = "position", command: Command | None = None, wind: Array | None = None
     ) -> None:
@@ -176,12 +185,14 @@ class FlightLoop:
         index = LEVELS.index(level)
         return index if self.inner is None else self.inner.steer(index, self.readings.accel)
 
-    def _step(self, level: int, substeps: int) -> None:
-        """Compiled step, then external sensor, sensor faults and estimate."""
+    def _step(self, level: int, substeps: int, samples: int = 1) -> None:
+        """Compiled steps, then sensor faults and estimate."""
         noise, at = (NO_NOISE, 0) if self.imu is None else (self.imu.noise, self.imu.next_samples())
-        self.crashed = step(level, self.records, self.plans, 1, substeps, noise, at, self.log)
-        if self.external is not None:
-            self.external.measure(self.measured_state)
+        records, plans, log, external = self.records, self.plans, self.log, self.external
+        outside = external.sensors, external.noise, external.queue
+        self.crashed, spent = step(level, records, plans, samples, substeps, noise, at, log, *outside)
+        if spent:
+            external.draw()
         readings = self._sensed
         if self.corrupt is not None:
             readings = readings.map(np.copy)

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..control.records import POSITION
 from ..imu.stream import simulate_readings
 from ..motion.rotors import state_dtype
 from ..seeding import children
@@ -15,7 +14,6 @@ from .hand_held import move_by_hand
 from .loop import FlightLoop
 from .mission import planned
 from .recipe import Recipe
-from .world import NO_NOISE, step
 
 Array = NDArray[np.float64]
 Seeds = Sequence[np.random.SeedSequence]
@@ -76,11 +74,7 @@ def _fly(config: Recipe, log: NDArray[np.void], rate_hz: float, parts: Sequence[
     loop.plant.wind[:] = first["wind"]
     if total == log.shape[1]:
         loop.sense()  # the first sample is recorded, in its wind
-    if loop.plant.engine is None:
-        step(POSITION, loop.records, plans, total - 1, loop.plant.substeps, NO_NOISE, 0, log)
-        return
-    for _ in range(1, total):
-        loop.step()
+    loop.follow(total - 1)
 
 
 def _held(log: NDArray[np.void]) -> NDArray[np.int64]:

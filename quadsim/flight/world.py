@@ -7,6 +7,7 @@ import numpy as np
 
 from ..control.cascade import control
 from ..control.records import MEASURED, SET_POINT, controller_dtype
+from ..external import deliver
 from ..imu.kernel import GYRO, IMU, SENSORS, measure
 from ..motion.rotors import vehicle_dtype
 from ..plant import fly, update_truth
@@ -128,20 +129,26 @@ def start(level, loops):
 
 
 @njit(cache=True)
-def step(level, loops, plans, samples, substeps, noise, at, logs):
-    """Samples of all vehicles, but for the estimate; returns how many are down.
+def step(level, loops, plans, samples, substeps, noise, at, logs, externals, errors, queues):
+    """Samples of all vehicles, but for the estimate.
 
     Args:
         level: Number of the level of the command in the records.
         loops: (n,) records of `loop_dtype`.
         plans: (n, T) records of `PLAN`.
-        samples: How many; several only without an IMU.
+        samples: How many; several only without an IMU and an external sensor.
         substeps: Steps of integration in each; none where the vehicles have moved already.
         noise: (n, NOISES, block, 3) standard normal numbers of the IMUs, or `NO_NOISE`.
         at: Place of this sample in the block.
         logs: (n, t) records of `quadsim.motion.rotors.state_dtype`, for the last t samples of the plans.
+        externals: (n,) records of `quadsim.external.SENSOR`; (0,) without.
+        errors: (n, BLOCK, NUMBERS) standard normal numbers of the external sensors.
+        queues: (n, slots, NUMBERS) their waiting measurements.
+
+    Returns:
+        How many vehicles are down, and how many external sensors have spent their errors.
     """
-    crashed, x = 0, np.empty((SENSORS, 3))
+    crashed, spent, x = 0, 0, np.empty((SENSORS, 3))
     for i in range(loops.shape[0]):
         loop = loops[i]
         for _ in range(samples):
@@ -149,5 +156,7 @@ def step(level, loops, plans, samples, substeps, noise, at, logs):
                 start_one(level, loop)
                 fly(loop.vehicle, substeps)
             sense_one(loop, plans[i], noise[min(i, noise.shape[0] - 1)], at, x, logs[i])
+            if externals.shape[0] > 0:
+                spent += deliver(externals[i], errors[i], queues[i], loop.measured)
         crashed += loop.flight.crashed != FLYING
-    return crashed
+    return crashed, spent

@@ -12,7 +12,7 @@ from estimators.metrics import inclination_error
 from quadsim.config.toml import parse
 from quadsim.control.records import MEASURED
 from quadsim.estimator import Readings
-from quadsim.external import ExternalSensor, ExternalSpec
+from quadsim.external import ExternalSensor, ExternalSpec, deliver
 from quadsim.flight.faults import displaced, sensor_faults
 from quadsim.flight.mission import Mission
 from quadsim.flight.scenario import Crash, Scenario, Start, load_scenario, scenario_names
@@ -379,7 +379,9 @@ def held(spec: ExternalSpec, samples: int, n: int = 2, restart: int = -1) -> np.
         state["k"] = step
         state["k"][0] = step if restart < 0 or step < restart else step - restart
         state["position"], state["velocity"], state["yaw"] = 1.0 * step, 2.0 * step, 3.0 * step
-        sensor.measure(state)
+        for i in range(n):
+            if deliver(sensor.sensors[i], sensor.noise[i], sensor.queue[i], state[i]):
+                sensor.draw()
         out[step] = np.column_stack([state["position"], state["velocity"], state["yaw"]])
     return out
 
