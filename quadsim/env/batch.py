@@ -131,7 +131,7 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
     def _take(self, mission: Mission) -> None:
         self.scale = action_scale(self._level, mission.vehicle)
         self.mission, self._hover_rotor_vel = mission, mission.vehicle.hover_rotor_vel
-        self._outcome = outcome_dtype(len(mission.vehicle.rotors))
+        self._outcomes = np.zeros(self.num_envs, outcome_dtype(len(mission.vehicle.rotors)))
 
     def _seeds(self, ids: NDArray[np.int64]) -> list[np.random.SeedSequence]:
         """Seeds of the next flights of some vehicles."""
@@ -171,8 +171,7 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
 
     def observe(self) -> NDArray[np.void]:
         """What `advance` returns, of the present sample."""
-        outcome = np.empty(self.num_envs, self._outcome)
-        self.ended = observe(self.mission.records, self.mission.steps, self.done, outcome)
+        outcome, self.ended = observe(self.mission.records, self.mission.steps, self.done, self._outcomes)
         return outcome
 
     def _masked(self, outcome: NDArray[np.void]) -> dict[str, Any]:
@@ -209,9 +208,10 @@ def take(action: ArrayLike, out: Array) -> None:
     Raises:
         ValueError: It has another shape, or is not numbers.
     """
-    if np.shape(action) != out.shape:
-        raise ValueError(f"an action has shape {np.shape(action)}; it must be {out.shape}")
-    out[:] = action
+    given = np.asarray(action)
+    if given.shape != out.shape:
+        raise ValueError(f"an action has shape {given.shape}; it must be {out.shape}")
+    out[:] = given
 
 
 def _whole(seed: int | None) -> int | None:

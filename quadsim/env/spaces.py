@@ -104,12 +104,12 @@ def _clip(value, limit):
 
 
 @njit(cache=True)
-def observe(loops, steps, done, outcomes):
-    """Write what a step returns, (n,) records of `outcome_dtype`; returns how many episodes have ended.
+def observe(loops, steps, done, like):
+    """What a step returns, new records of `outcome_dtype` as in `like` (n,), and how many episodes ended.
 
     `done` (n,) says which had ended before this step, which have no reward, and then which have ended now.
     """
-    ended = 0
+    outcomes, ended = np.empty_like(like), 0
     for i in range(outcomes.shape[0]):
         row, flight, m, p = outcomes[i], loops[i].flight, loops[i].measured, loops[i].vehicle
         out, s, wanted = row.observation, p.state, flight.target
@@ -136,4 +136,4 @@ def observe(loops, steps, done, outcomes):
         row.reward = 0.0 if row.crashed or done[i] else 1.0 / (1.0 + distance + 0.1 * speed)
         done[i] = row.crashed or row.over
         ended += done[i]
-    return ended
+    return outcomes, ended

@@ -188,11 +188,12 @@ class FlightLoop:
     def _step(self, level: int, substeps: int, samples: int = 1) -> None:
         """Compiled steps, then sensor faults and estimate."""
         noise, at = (NO_NOISE, 0) if self.imu is None else (self.imu.noise, self.imu.next_samples())
-        records, plans, log, external = self.records, self.plans, self.log, self.external
-        outside = external.sensors, external.noise, external.queue
-        self.crashed, spent = step(level, records, plans, samples, substeps, noise, at, log, *outside)
+        plans, log, out = self.plans, self.log, self.external
+        self.crashed, spent = step(
+            level, self.records, plans, samples, substeps, noise, at, log, out.sensors, out.noise, out.queue
+        )
         if spent:
-            external.draw()
+            self.external.draw()
         readings = self._sensed
         if self.corrupt is not None:
             readings = readings.map(np.copy)
