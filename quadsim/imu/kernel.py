@@ -77,6 +77,7 @@ def white_noise_sd(density: float, dt: float) -> float:
     return density / math.sqrt(dt)
 
 
+@cache
 def low_pass_coefficients(corner: float, order: int, dt: float) -> tuple[Array, Array, Array]:
     """Exact step of a continuous Butterworth filter whose input is a straight line between samples.
 

@@ -39,7 +39,7 @@ def reference(spec: Trajectory, steps: int, rate_hz: float, seeds: Seeds) -> Set
         seeds: One per flight; a flight depends on its own alone.
 
     Returns:
-        (n, steps) records of `SET_POINT`.
+        (n, steps) records of `SET_POINT`, read-only.
 
     Raises:
         ValueError: If a set-point file is missing or malformed, or a user's function fails.
@@ -47,7 +47,7 @@ def reference(spec: Trajectory, steps: int, rate_hz: float, seeds: Seeds) -> Set
     time = np.arange(steps) / rate_hz
     drawn = isinstance(spec, Mix) or (isinstance(spec, Waypoints) and not spec.points)
     paths = [_path(spec, time, np.random.default_rng(seed)) for seed in (seeds if drawn else seeds[:1])]
-    return np.repeat(paths, 1 if drawn else len(seeds), axis=0)
+    return np.broadcast_to(np.stack(paths), (len(seeds), steps))
 
 
 def _path(spec: Trajectory, time: Array, rng: np.random.Generator) -> SetPoints:
