@@ -168,7 +168,8 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
         if self._batch.ended:
             raise ValueError("the episode is over; call reset to begin another")
         take(action, self._action)
-        row: tuple[Any, ...] = self._batch.advance().item()
+        row = self._batch.advance().item()
+        assert isinstance(row, tuple)
         info = dict(zip(INFORMATION, row))  # noqa: B905  (the rest of the row is no information)
         reward, observation, crashed, over = row[-4:]
         if crashed:
