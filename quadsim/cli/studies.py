@@ -58,9 +58,6 @@ def evaluate(
     """
     if (data is None) == (not logs):
         raise ValueError("one of --data and --logs is required")
-    from scenarios.report.contenders import Contenders
-
-    contenders = Contenders(estimator, tuning, vehicle)
     if logs:
         import numpy as np
 
@@ -68,7 +65,7 @@ def evaluate(
 
         # of numbers that no sensor has, which are refused
         with alone(out), np.errstate(over="ignore", invalid="ignore"):
-            evaluate_logs(logs, contenders, out, within_deg=within, mount=mount, force=force)
+            evaluate_logs(logs, out, estimator, tuning, vehicle, within_deg=within, mount=mount, force=force)
         return
     if mount is not None:
         raise ValueError("--mount is of the IMU of --logs; a dataset is in body axes")
@@ -76,7 +73,7 @@ def evaluate(
     from scenarios.report.evaluation import evaluate_dataset
 
     with alone(out):
-        evaluate_dataset(data, contenders, out, seed=seed)
+        evaluate_dataset(data, out, estimator, tuning, vehicle, seed=seed)
 
 
 def paper(

@@ -4,21 +4,23 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
+from estimators.evaluation.comparison import made_of
 from estimators.evaluation.logs import NO_ATTITUDE, default_names, score_logs, unscorable
 from estimators.tuned import DEFAULT_DOMAIN
 from quadsim.logs import read_log, refused
 from quadsim.logs.log_report import UNSCORED
 from quadsim.runs.console import print_table, progress_bar, say
 
-from ..report.contenders import Contenders
 from .log_page import write_log_report
 from .log_verdict import log_verdict
 
 
 def evaluate_logs(
     paths: Sequence[Path],
-    contenders: Contenders,
     out: Path,
+    names: Sequence[str] | None,
+    tuning: str | None,
+    vehicle: str | None,
     *,
     within_deg: float = 45.0,
     mount: str | None = None,
@@ -28,8 +30,10 @@ def evaluate_logs(
 
     Args:
         paths: The logs.
-        contenders: The estimators.
         out: Folder for the table and the page.
+        names: The estimators; None for those that logs are scored with.
+        tuning: Where their parameters come from, as `estimators.create` takes it.
+        vehicle: The airframe, if it is known.
         within_deg: Largest true inclination that is scored [deg].
         mount: Rotation from IMU to body axes, as `quadsim.logs.recording.mount_matrix` takes it.
         force: Score a log although a unit or frame cannot be right.
@@ -57,13 +61,14 @@ def evaluate_logs(
     for warning in warnings:
         say(f"warning: {warning}", "yellow")
     logs = [read[path] for _, path in sorted(used, key=lambda each: each[0])]
-    made = contenders.create(default_names(contenders.vehicle is not None), float(logs[0].attrs["rate_hz"]))
+    rate_hz = float(logs[0].attrs["rate_hz"])
+    made = made_of(names or default_names(vehicle is not None), rate_hz, tuning, vehicle)
     with progress_bar("evaluate", "runs") as bar:
         scores = score_logs(logs, made, within_deg=within_deg, progress=bar)
-    if contenders.tuning is not None:
-        scores.tuning = f"Filters have the parameters of {contenders.tuning}."
+    if tuning is not None:
+        scores.tuning = f"Filters have the parameters of {tuning}."
     else:
-        own = f"for {contenders.vehicle}, or else for" if contenders.vehicle else "tuned on"
+        own = f"for {vehicle}, or else for" if vehicle else "tuned on"
         scores.tuning = (
             f"Filters have the parameters {own} {DEFAULT_DOMAIN}; imm has one set for all vehicles."
         )

@@ -7,14 +7,13 @@ from typing import Any
 
 import estimators
 from estimators.evaluation import error_figures
-from estimators.evaluation.comparison import behind_the_best, evaluate
+from estimators.evaluation.comparison import behind_the_best, evaluate, made_of
 from estimators.evaluation.flights import imu_of, vehicle_of
 from estimators.registry import needs_vehicle, tuned_elsewhere
 from quadsim.dataset.reading import open_dataset
 from quadsim.runs.console import output, progress_bar
 from quadsim.runs.files import save_figure
 
-from .contenders import Contenders
 from .page import OfflineSection, write_report
 from .terminal import rows_table
 
@@ -36,25 +35,35 @@ METHOD = (
 )
 
 
-def evaluate_dataset(data: Path, contenders: Contenders, out: Path, *, seed: int) -> None:
+def evaluate_dataset(
+    data: Path,
+    out: Path,
+    names: Sequence[str] | None,
+    tuning: str | None,
+    vehicle: str | None,
+    *,
+    seed: int,
+) -> None:
     """Compare estimators on the flights of a dataset, and write and print the results.
 
     Args:
         data: The dataset.
-        contenders: The estimators.
         out: Folder for evaluation.csv, report.html and the pictures.
+        names: The estimators; None for all that can be made.
+        tuning: Where their parameters come from, as `estimators.create` takes it.
+        vehicle: The airframe; None for the dataset's.
         seed: Of the bootstrap.
     """
     flights = open_dataset(data)
-    airframe, imu = contenders.vehicle or vehicle_of(flights), imu_of(flights)
+    airframe, imu = vehicle or vehicle_of(flights), imu_of(flights)
     every = [name for name in estimators.names() if airframe is not None or not needs_vehicle(name)]
-    made = contenders.create(every, float(flights.attrs["rate_hz"]), airframe, imu)
+    made = made_of(names or every, float(flights.attrs["rate_hz"]), tuning, airframe, imu)
     with progress_bar("evaluate", "runs") as bar:
         done = evaluate(flights, made, slow_flights=SLOW_FLIGHTS, seed=seed, progress=bar)
     done.write_csv(out / "evaluation.csv")
     pictures = {n: save_figure(out / f"{n}.png", draw(done), dpi=130) for n, draw in FIGURES.items()}
     caption = f"{flights.sizes['flight']} flights of {data}, without a loop."
-    notes = [*evaluation_notes(done.rows), *tuned_elsewhere(made, contenders.tuning, airframe, imu)]
+    notes = [*evaluation_notes(done.rows), *tuned_elsewhere(made, tuning, airframe, imu)]
     page = write_report(
         out / "report.html",
         offline=recorded_section(done.rows, " ".join([caption, *notes]), pictures),
