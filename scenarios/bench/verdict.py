@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from quadsim.flight.scenario import Scenario
 
 from .controllers import CASCADED, controller_of, estimator_of
+from .experiment import Condition
 from .ranking import Difference, Place, listed, paired_difference, ranked
 from .recommendation import recommendation
 from .results import Results
@@ -68,8 +69,11 @@ def verdict(results: Results) -> Verdict:
         return Verdict(*_nobody(results), table)
     lines: list[str] = []
     if results.experiment.conditions:
-        headline, found = _by_condition(results, measure, whole, partial)
-        lines += found
+        found = _on_conditions(results)
+        headline = _headline_of(results, found, whole, measure)
+        lines += [
+            f"{each.name}: {recommended(own, measure) if own.best else 'none flew.'}" for each, own in found
+        ]
     else:
         lines.append(conditions(results.scenarios))
         headline = _headline(results, whole, measure)
@@ -216,34 +220,42 @@ def _headline(results: Results, whole: Choice, measure: Measure) -> str:
     return text[0].upper() + text[1:]
 
 
-def _by_condition(results: Results, measure: Measure, whole: Choice, partial: str) -> tuple[str, list[str]]:
-    """What is recommended on every condition of the experiment, else on each; and a line for each."""
-    conditions, choices = results.experiment.conditions, list[Choice]()
-    for each in conditions:
-        part = [name for name, levels in results.levels.items() if levels[each.axis] in each.levels]
-        choices.append(choice(results, part))
-    both = list(zip(conditions, choices, strict=True))
-    lines = [
-        f"{each.name}: {recommended(found, measure) if found.best else 'none flew.'}" for each, found in both
+def _on_conditions(results: Results) -> list[tuple[Condition, Choice]]:
+    """Each condition of the experiment, and what to fly on it."""
+    levels = results.levels.items()
+    return [
+        (each, choice(results, [name for name, own in levels if own[each.axis] in each.levels]))
+        for each in results.experiment.conditions
     ]
-    fit = {each.clause: found.best for each, found in both if found.best and found.best[0].fit}
-    if not fit:
-        return "No estimator is fit to fly on these conditions.", lines
-    fly = "Fly" if results.experiment.held_out else f"On these {len(results.scenarios)} combinations fly"
-    if partial:
-        fly = f"On a part of the held-out suite ({partial}) fly"
-    if whole.lost:
-        fly = f"No estimator survives {_where(whole.lost, 'any of')}; elsewhere {fly[0].lower()}{fly[1:]}"
-    names = [{place.name for place in found.best} for found in choices]
-    everywhere = [place for place in whole.places if place.name in set.intersection(*names)]
-    if everywhere and len(fit) == len(conditions):
+
+
+def _headline_of(
+    results: Results, found: list[tuple[Condition, Choice]], whole: Choice, measure: Measure
+) -> str:
+    """What to fly on all conditions, where the same is best on each, else on every one."""
+    best = {each.clause: own.best for each, own in found if own.best and own.best[0].fit}
+    if not best:
+        return "No estimator is fit to fly on these conditions."
+    tied = [{place.name for place in own.best} for _, own in found]
+    everywhere = [place for place in whole.places if place.name in set.intersection(*tied)]
+    if everywhere and len(best) == len(found):
         named = listed([said(place.name, measure) for place in everywhere], "or")
         fates = listed(list(dict.fromkeys(place.fate for place in everywhere)), "or")
-        return f"{fly} {named}, {results.experiment.always} ({fates}).", lines
-    clauses = ", ".join(f"{_first_of(best, measure)} {clause}" for clause, best in fit.items())
-    unfit = [each.clause for each in conditions if each.clause not in fit]
+        return f"{_fly(results, whole)} {named}, {results.experiment.always} ({fates})."
+    clauses = ", ".join(f"{_first_of(places, measure)} {clause}" for clause, places in best.items())
+    unfit = [each.clause for each, _ in found if each.clause not in best]
     rest = f"; no estimator is fit to fly {listed(unfit, 'or')}" if unfit else ""
-    return f"{fly} {clauses}{rest}.", lines
+    return f"{_fly(results, whole)} {clauses}{rest}."
+
+
+def _fly(results: Results, whole: Choice) -> str:
+    """Begin a headline: where nothing survives, and on which flights the rest of it was found."""
+    fly = "Fly" if results.experiment.held_out else f"On these {len(results.scenarios)} combinations fly"
+    if results.partial:
+        fly = f"On a part of the held-out suite ({results.partial}) fly"
+    if whole.lost:
+        return f"No estimator survives {_where(whole.lost, 'any of')}; elsewhere {fly[0].lower()}{fly[1:]}"
+    return fly
 
 
 def recommended(found: Choice, measure: Measure) -> str:
