@@ -115,10 +115,10 @@ def test_the_density_is_student_s_t_of_scipy():
 
 
 @njit
-def gather(records, sample, count):
+def gather(records, params, sample, count):
     """Take a sample into the sums of the first record, many times."""
     for _ in range(count):
-        accumulate(records[0], sample)
+        accumulate(records[0], params[0], sample)
 
 
 def test_a_force_is_integrated_in_the_axes_at_the_end_of_a_turn():
@@ -128,7 +128,7 @@ def test_a_force_is_integrated_in_the_axes_at_the_end_of_a_turn():
     sample = Sample(rate, rate, force, found=True, rotor_square=0.0, unseen=0.0, ended=0.0, dt=dt)
     records = np.zeros(1, RECORD)
     records["turn"][:, 0] = 1.0
-    gather(records, sample, count)
+    gather(records, imm()._params, sample, count)
     expected = np.array([np.sin(turn), np.cos(turn) - 1.0, 0.0]) / rate[2]
     np.testing.assert_allclose(records["push"][0], expected, atol=0.01 * count * dt)
 

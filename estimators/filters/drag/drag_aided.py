@@ -81,28 +81,10 @@ SCRATCH = [
 ]
 """Fields for a sample, in the record because the compiler knows that fields of one record do not overlap."""
 
-INNOVATION_MAX = 5.0
-"""Innovations count no further: one bad reading does no lasting harm [m/s²]."""
-GAP_SPEED = 3.0
-"""Change of velocity in a gap, for each radian that may have been turned unseen [m/s]."""
 BIAS_MAX, SPEED_MAX = math.radians(30.0), 60.0
 """Bias of the gyroscope [rad/s], velocity and wind [m/s] beyond which a filter has diverged and restarts."""
 FIRST_S = 0.1
 """Time for which the first value of a mean square counts [s]."""
-VIBRATION_MEMORY = 0.5
-"""Memory of the innovation's vibration [s]."""
-WIND_WINDOW = 0.1
-"""Memory of the airspeed's corrections [s]."""
-GUST_WINDOW, GUST_RATIO = 0.04, 2.0
-"""Memory of a gust front [s], and variances that a low-passed innovation has at one."""
-REST_RATE, REST_RATE_MOST = 0.005, 0.1
-"""Largest difference of low-passed rates at rest, and largest rate there, which is a bias [rad/s]."""
-REST_ACCEL = 0.05
-"""Largest difference of low-passed specific forces at rest [m/s²]."""
-REST_FAST, REST_DELAY = 0.1, 1.5
-"""Time constants of both low-passes [s]; for that of the slow one they have to agree."""
-REST_NOISE = 0.002
-"""Noise density of the zero-rate update [rad/√s]."""
 
 
 @njit
@@ -157,7 +139,7 @@ def predict(m, scratch, p, size, turn, dt, scale_error, unseen, drag, climbs):
     """
     walks, b = scratch.walks, m.gyro_bias
     walks[TILT:VELOCITY] = p.gyro_noise**2 * dt + scale_error + unseen
-    walks[VELOCITY:GYRO_BIAS] = p.accel_noise**2 * dt + GAP_SPEED**2 * unseen
+    walks[VELOCITY:GYRO_BIAS] = p.accel_noise**2 * dt + p.gap_speed**2 * unseen
     walks[GYRO_BIAS:ACCEL_BIAS] = p.bias_noise**2 * dt
     walks[ACCEL_BIAS:WIND] = p.accel_bias_noise**2 * dt
     walks[WIND:CLIMB] = max(m.wind_noise, gust_noise(m, p, dt, drag)) * dt
@@ -200,13 +182,13 @@ def correct_by_drag(m, scratch, p, size, force, arm, rotor_drag, dt, matrix):
         x, y, z = -drag * matrix[k], -drag * matrix[3 + k], -drag * matrix[6 + k]
         expected = x * (v[0] - w[0]) + y * (v[1] - w[1]) + z * v[2] + m.accel_bias[k] + GRAVITY * m.offset[k]
         expected += arm[k] * m.lever
-        innovation = min(max(force[k] - expected, -INNOVATION_MAX), INNOVATION_MAX)
+        innovation = min(max(force[k] - expected, -p.innovation_max), p.innovation_max)
         first = innovation if k == 0 else first
         for a in range(ERRORS):
             column[a] = along_drag(x, y, z, arm[k], k, P[:, a], 0.0)
         total = along_drag(x, y, z, arm[k], k, column, variance)
         correct(P, size, dx, column, total, innovation - along_drag(x, y, z, arm[k], k, dx, 0.0))
-    adapt_vibration(m, dt, rotate(m.quat, (first, innovation, 0.0)))
+    adapt_vibration(m, p, dt, rotate(m.quat, (first, innovation, 0.0)))
 
 
 @njit
@@ -225,13 +207,13 @@ def correct_by_zero_velocity(m, scratch, size, axes, variance, climb_variance):
 
 
 @njit
-def correct_by_zero_rate(m, scratch, size, rate, dt):
+def correct_by_zero_rate(m, scratch, p, size, rate, dt):
     """Correct by the gyroscope of a vehicle at rest, which reads its bias."""
     P, dx, column = m.covariance, scratch.error, scratch.column
     for k in range(3):
         column[:] = P[GYRO_BIAS + k]
         residual = rate[k] - m.gyro_bias[k] - dx[GYRO_BIAS + k]
-        correct(P, size, dx, column, column[GYRO_BIAS + k] + REST_NOISE**2 / dt, residual)
+        correct(P, size, dx, column, column[GYRO_BIAS + k] + p.rest_noise**2 / dt, residual)
 
 
 @njit
@@ -258,36 +240,36 @@ def mean_square(value, square, dt, time, memory):
 
 
 @njit
-def adapt_vibration(m, dt, now):
+def adapt_vibration(m, p, dt, now):
     """Take an innovation ν in world axes into its mean, and ¼ |ν[t] − ν[t−1]|², white, into its variance."""
     change = (now[0] - m.innovation[0]) ** 2 + (now[1] - m.innovation[1]) ** 2
     if m.time > dt:
-        m.vibration += (0.25 * change - m.vibration) * dt / VIBRATION_MEMORY
+        m.vibration += (0.25 * change - m.vibration) * dt / p.vibration_memory
     for k in range(2):
         m.innovation[k] = now[k]
-        m.innovation_mean[k] += (now[k] - m.innovation_mean[k]) * dt / GUST_WINDOW
+        m.innovation_mean[k] += (now[k] - m.innovation_mean[k]) * dt / p.gust_window
 
 
 @njit
 def gust_noise(m, p, dt, drag):
     """Process noise of the wind by a low-passed innovation beyond its variance [m²/s³]."""
     square = m.innovation_mean[0] ** 2 + m.innovation_mean[1] ** 2
-    usual = GUST_RATIO * least_variance(m, p, dt) * dt / GUST_WINDOW
-    return max(square - usual, 0.0) / GUST_WINDOW / (drag * drag)
+    usual = p.gust_ratio * least_variance(m, p, dt) * dt / p.gust_window
+    return max(square - usual, 0.0) / p.gust_window / (drag * drag)
 
 
 @njit
-def at_rest(s, dt, gyro, accel):
+def at_rest(s, p, dt, gyro, accel):
     """Take readings into their low-passes; whether they have agreed for long enough."""
     same = True
-    fast, slow = dt / min(s.time, REST_FAST), dt / min(s.time, REST_DELAY)
+    fast, slow = dt / min(s.time, p.rest_fast), dt / min(s.time, p.rest_delay)
     for k in range(6):
-        value, most = (gyro[k], REST_RATE) if k < 3 else (accel[k - 3], REST_ACCEL)
+        value, most = (gyro[k], p.rest_rate) if k < 3 else (accel[k - 3], p.rest_accel)
         s.fast[k] += min(fast, 1.0) * (value - s.fast[k])
         s.slow[k] += min(slow, 1.0) * (value - s.slow[k])
-        same &= abs(s.fast[k] - s.slow[k]) <= most and (k >= 3 or abs(s.slow[k]) <= REST_RATE_MOST)
+        same &= abs(s.fast[k] - s.slow[k]) <= most and (k >= 3 or abs(s.slow[k]) <= p.rest_rate_most)
     s.rest_time = s.rest_time + dt if same else 0.0
-    return s.rest_time >= REST_DELAY
+    return s.rest_time >= p.rest_delay
 
 
 @njit

@@ -37,7 +37,6 @@ from .drag_aided import (
     SCRATCH,
     VELOCITY,
     WIND,
-    WIND_WINDOW,
     apply_error,
     at_rest,
     correct_by_drag,
@@ -88,10 +87,10 @@ def adapt_wind(s, p, dt, removed):
     scatter = 0.0
     for k in range(2):
         moved = s.error[VELOCITY + k] - s.error[WIND + k]
-        s.airspeed_sum[k] += moved - s.airspeed_sum[k] * dt / WIND_WINDOW
+        s.airspeed_sum[k] += moved - s.airspeed_sum[k] * dt / p.wind_window
         scatter += 0.5 * s.airspeed_sum[k] ** 2
-    s.airspeed_due += max(0.5 * removed, 0.0) - 2.0 * s.airspeed_due * dt / WIND_WINDOW
-    excess = 2.0 * (scatter - p.wind_share * s.airspeed_due) / WIND_WINDOW
+    s.airspeed_due += max(0.5 * removed, 0.0) - 2.0 * s.airspeed_due * dt / p.wind_window
+    excess = 2.0 * (scatter - p.wind_share * s.airspeed_due) / p.wind_window
     memory = min(0.5 * FIRST_S + s.time, p.wind_memory) if excess > 0.0 else p.wind_memory
     s.wind_noise = max(s.wind_noise + excess * dt / memory, p.wind_noise_least**2)
 
@@ -116,15 +115,15 @@ def measure(s, p, dt, gyro, accel, matrix):
     airspeed, bias = airspeed_variance(P), bias_variance(P)
     rotor_drag = math.sqrt(max(accel[2], 0.0) / GRAVITY) / p.drag_time
     correct_by_drag(s, s, p, DRAG, accel, NO_ARM, rotor_drag, dt, matrix)
-    if s.time > WIND_WINDOW:  # the first corrections are those of the initial state
+    if s.time > p.wind_window:  # the first corrections are those of the initial state
         bias -= bias_variance(P)
         adapt_wind(s, p, dt, airspeed - airspeed_variance(P))
         adapt_bias(s, p, dt, bias)
     density = max(s.speed_square, p.speed_least**2) * p.speed_time * (1.0 + p.speed_growth * s.speed_square)
     correct_by_zero_velocity(s, s, DRAG, 3, density / dt, p.climb_noise**2 / dt)
     s.speed_square = mean_square(s.speed_square, 0.5 * (v[0] ** 2 + v[1] ** 2), dt, s.time, p.speed_memory)
-    if at_rest(s, dt, gyro, accel):
-        correct_by_zero_rate(s, s, DRAG, gyro, dt)
+    if at_rest(s, p, dt, gyro, accel):
+        correct_by_zero_rate(s, s, p, DRAG, gyro, dt)
 
 
 @njit

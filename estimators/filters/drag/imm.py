@@ -58,7 +58,6 @@ from .drag_aided import (
     REST,
     SCRATCH,
     SHARED,
-    VIBRATION_MEMORY,
     at_rest,
     diverged,
     mean_square,
@@ -68,7 +67,6 @@ from .imm_model import (
     MODELS,
     MULTIROTOR,
     STATE,
-    USUAL_FIRST,
     Integrated,
     across_thrust,
     combine,
@@ -116,16 +114,10 @@ ESTIMATED = [*range(CLIMB), *range(OFFSET, ERRORS)]
 """The errors that a multirotor's model has."""
 MODEL_HZ = 50.0
 """Rate at which the models take the readings [1/s]; readings of a lower rate are taken as they come."""
-RECTIFIED = 0.1
-"""Share of its vibration by which the mean of an accelerometer may shift."""
-JERK_MAX = 2e4
-"""Change of the specific force that no hand makes [m/s³]; one beyond it is missing for a sample."""
-RATE_MEMORY = 0.005
-"""Time constant of the low-pass before the rate's derivative [s]."""
 
 
 @njit
-def take_vibration(s, dt, change):
+def take_vibration(s, p, dt, change):
     """Take a change of the specific force [m/s²] into the mean square of its vibration.
 
     A second difference of white noise has six times its variance, and next to nothing of a motion.
@@ -134,26 +126,26 @@ def take_vibration(s, dt, change):
     for k in range(3):
         square += (change[k] - s.change[k]) ** 2 / 18.0
         s.change[k] = change[k]
-    s.shake += (square - s.shake) * min(dt / VIBRATION_MEMORY, 1.0)
+    s.shake += (square - s.shake) * min(dt / p.vibration_memory, 1.0)
 
 
 @njit
-def accumulate(s, sample):
+def accumulate(s, p, sample):
     """Take a `Sample` into the sums since the last update of the models."""
     dt, gyro, accel, last = sample.dt, sample.gyro, sample.accel, s.force
     turn = exp_core(gyro[0] * dt, gyro[1] * dt, gyro[2] * dt)
     put(s.turn, multiply(s.turn, turn))
     known = last[0] != 0.0 or last[1] != 0.0 or last[2] != 0.0
     change = (accel[0] - last[0], accel[1] - last[1], accel[2] - last[2])
-    blow = known and not within(change[0], change[1], change[2], JERK_MAX * dt)
+    blow = known and not within(change[0], change[1], change[2], p.jerk_max * dt)
     found = sample.found and not blow
     before = 0.5 * dt if found and known else 0.0  # trapezoidal rule
     after = dt - before if found else 0.0
     if found and known:
-        take_vibration(s, dt, change)
+        take_vibration(s, p, dt, change)
     push = (s.push[0] + before * last[0], s.push[1] + before * last[1], s.push[2] + before * last[2])
     push = rotate((turn[0], -turn[1], -turn[2], -turn[3]), push)
-    share = dt / (dt + RATE_MEMORY)
+    share = dt / (dt + p.rate_memory)
     for k in range(3):
         s.push[k] = push[k] + after * accel[k]
         s.force_sum[k] += dt * accel[k] if found else 0.0
@@ -210,7 +202,7 @@ def interval(s, p):
     if s.begun == 0.0 and found:
         begin_at(s, accel)
     thrust = thrust_of_rotors(s, p, dt, body[2]) if found and s.rotor_time > 0.5 * dt else body[2]
-    resting = found and at_rest(s, dt, rate, body)
+    resting = found and at_rest(s, p, dt, rate, body)
     return Integrated(dt, turn, rate, s.unseen, found, accel, body, thrust, arm, resting)
 
 
@@ -264,7 +256,7 @@ def inverted(s, p):
 @njit
 def step(s, p, sample):
     """See `driver`. Between updates of the models, the combined attitude turns by the sample."""
-    accumulate(s, sample)
+    accumulate(s, p, sample)
     dt, gyro, b = sample.dt, sample.gyro, s.gyro_bias
     if s.interval < 1.0 / MODEL_HZ - 0.5 * dt:
         turn = exp_core((gyro[0] - b[0]) * dt, (gyro[1] - b[1]) * dt, (gyro[2] - b[2]) * dt)
@@ -297,7 +289,10 @@ class InteractingModels(CompiledFilter):
         models = states["models"]
         sigma = np.array([self.values[f"{part}_sigma"] for part in PARTS[ESTIMATED]])
         models["quat"], states["quat"] = quat[:, None], quat
-        models["wind_noise"], models["usual_ratio"] = self.values["wind_noise"] ** 2, USUAL_FIRST
+        models["wind_noise"], models["usual_ratio"] = (
+            self.values["wind_noise"] ** 2,
+            self.values["usual_first"],
+        )
         models["covariance"][:, :, ESTIMATED, ESTIMATED] = sigma**2
         states["covariance"] = models["covariance"][:, 0, :SHARED, :SHARED]
         states["begun"], states["probability"] = float(known), 1.0 / COUNT
@@ -305,7 +300,7 @@ class InteractingModels(CompiledFilter):
 
     def tilt_covariance(self) -> Array:
         """That of the models and, on both axes, of the mean force, which vibration shifts."""
-        shifted = (RECTIFIED / GRAVITY) ** 2 * self.state["shake"]
+        shifted = (self.values["rectified_share"] / GRAVITY) ** 2 * self.state["shake"]
         return self.state["covariance"][:, :2, :2] + shifted[:, None, None] * np.eye(2)
 
     @property

@@ -36,7 +36,6 @@ from .drag_aided import (
     TILT,
     VELOCITY,
     WIND,
-    WIND_WINDOW,
     apply_error,
     correct_by_drag,
     correct_by_zero_rate,
@@ -64,10 +63,6 @@ STATE = np.dtype(
 
 WIND_NOISE_MOST = 10.0
 """Largest noise density of the wind [m/s/√s]: it turns by as much as a hurricane's gusts."""
-USUAL_FIRST, USUAL_LEAST, USUAL_MOST = 0.4, 0.02, 3.0
-"""The ratio's mean at the start, its least, and the largest ratio that counts in it, in means."""
-USUAL_DELAY = 5.0
-"""Time for which the first one counts [s]."""
 FREEDOM = 4.0
 """Degrees of freedom of Student's t."""
 
@@ -110,7 +105,7 @@ def adapt_wind(m, p, dt, moved):
     The square of their sum over a short memory is the sum of their squares where they are white, as those of
     a filter whose noise is right, and more where the wind turns faster than its noise says.
     """
-    leak = min(dt / WIND_WINDOW, 0.5)
+    leak = min(dt / p.wind_window, 0.5)
     square = 0.0
     for k in range(2):
         m.airspeed_sum[k] += moved[k] - leak * m.airspeed_sum[k]
@@ -182,7 +177,7 @@ def correct_model(m, k, s, p, x, matrix):
     if k == MULTIROTOR:
         rotor_drag = p.drag * math.sqrt(max(x.thrust, 0.0) / GRAVITY)
         correct_by_drag(m, s, p, size, x.body, x.arm, rotor_drag, dt, matrix)
-        if m.time > WIND_WINDOW:  # the first corrections are those of the initial state
+        if m.time > p.wind_window:  # the first corrections are those of the initial state
             adapt_wind(m, p, dt, (dx[VELOCITY] - dx[WIND], dx[VELOCITY + 1] - dx[WIND + 1]))
         first, second = across_thrust(m, x)
         square = s.body_square
@@ -194,7 +189,7 @@ def correct_model(m, k, s, p, x, matrix):
     speed = p.rest_speed if x.resting else speed
     correct_by_zero_velocity(m, s, size, 2, speed * speed * p.speed_time / dt, 0.0)
     if x.resting:
-        correct_by_zero_rate(m, s, size, x.rate, dt)
+        correct_by_zero_rate(m, s, p, size, x.rate, dt)
     adapt_bias(m, p, dt, dx, before - P[TILT, TILT] - P[TILT + 1, TILT + 1], matrix)
     apply_error(m, dx)
     return density
@@ -212,8 +207,10 @@ def adapt_bias(m, p, dt, dx, removed, matrix):
     if m.step_clock <= p.step_time or m.tilt_due <= 0.0:
         return
     ratio, usual = scatter / m.tilt_due, m.usual_ratio
-    m.usual_ratio += (min(ratio, USUAL_MOST * usual) - usual) * dt / min(USUAL_DELAY + m.time, p.step_memory)
-    if ratio > p.step_ratio * max(m.usual_ratio, USUAL_LEAST):
+    m.usual_ratio += (
+        (min(ratio, p.usual_most * usual) - usual) * dt / min(p.usual_delay + m.time, p.step_memory)
+    )
+    if ratio > p.step_ratio * max(m.usual_ratio, p.usual_least):
         m.tilt_sum[:], m.tilt_due, m.step_clock = 0.0, 0.0, 0.0
         fallen = 0.5 * GRAVITY * p.step_time
         for k in range(3):
