@@ -18,21 +18,13 @@ from ..runs.files import save_figure, write_whole
 from ..vehicle import GRAVITY
 from .cleaning import longest_part
 from .recording import Array, Recording
+from .thresholds import STILL
 
 NOISE_S, WALK_S = 10.0, 60.0
 """Shortest stretches at rest that give a white noise density and a bias random walk [s]."""
 WALK_SHOWS = 4 * math.sqrt(3.0)
 """A walk exceeds white noise in the Allan variance, σ_b² t/3 > N²/t, at averaging times above √3 N/σ_b, and
 those go to a quarter of the log: one of less than this many N/T does not show in a log of T."""
-STILL_GYRO, STILL_ACCEL = 0.02, 0.15
-"""Means over a second at rest stay this close to the median of the minute [rad/s, m/s²],"""
-SHAKE_GYRO, SHAKE_ACCEL = 0.1, 0.5
-"""the standard deviation within it is less than this, as it is not with rotors on,"""
-DRIFT = 5.0
-"""and as many times that to the median of the calmest seconds: further is another attitude."""
-CHANCE = 10.0
-"""A walk that lowers the cost of the fit by less is chance: 5 % of simulated logs of white noise of 70 s, and
-3 % of those of 300 s, exceed it. The points of the curve share their samples, so that χ² does not tell."""
 POINTS = 60
 """Averaging times of the curve."""
 LONGEST = 1 / 4
@@ -162,13 +154,16 @@ def still_readings(log: Recording) -> tuple[Array, Array]:
     second = max(1, round(1.0 / period))
     lengths = np.diff(np.append(log.time, log.time[-1] + period)[::second])
     quiet = np.abs(lengths - second * period) < 0.2 * second * period
-    sensors = ((log.gyro, STILL_GYRO, SHAKE_GYRO), (log.accel, STILL_ACCEL, SHAKE_ACCEL))
+    sensors = (
+        (log.gyro, STILL.still_gyro, STILL.shake_gyro),
+        (log.accel, STILL.still_accel, STILL.shake_accel),
+    )
     calm = np.argsort(blocks_of(log.gyro, second).std(axis=1).sum(axis=1))[: max(1, len(quiet) // 4)]
     for values, most, shake in sensors if len(quiet) else ():
         blocks = blocks_of(values, second)
         means = blocks.mean(axis=1)
         near = np.abs(means - median_filter(means, (61, 1), mode="nearest")) < most
-        near &= np.abs(means - np.median(means[calm], axis=0)) < DRIFT * most
+        near &= np.abs(means - np.median(means[calm], axis=0)) < STILL.drift * most
         quiet &= (near & (blocks.std(axis=1) < shake)).all(axis=1)
     start, end = longest_stretch(quiet)
     if (found := (end - start) * second * period) < 0.99 * NOISE_S:
@@ -227,7 +222,7 @@ def _fitted(signal: Array, rate_hz: float, bias: Array, turn_on: float) -> Senso
     fits = [least_squares(lambda p: cost(*np.exp(p)), start, bounds=bounds) for start in starts]
     best = min(fits, key=lambda fit: fit.cost)
     noise, walk, tau = np.exp(best.x)
-    if np.sum(cost(noise, 0.0, 1.0) ** 2) / 2 < best.cost + CHANCE:
+    if np.sum(cost(noise, 0.0, 1.0) ** 2) / 2 < best.cost + STILL.chance:
         return sensor(noise)
     return sensor(noise, walk, tau, tau < 0.9 * longest)
 

@@ -9,35 +9,16 @@ from numpy.typing import NDArray
 from ..config.ranges import FORCE_MAX, RATE_MAX
 from ..dataset.stretches import stretches
 from .recording import Array, Recording
+from .thresholds import CLEAN
 
 LONGEST_GAP_S = 30.0
 """A longer gap ends a recording, and what follows is another part of it."""
-GAP, JITTER_S = 2.5, 4e-3
-"""A step of more than this many sample periods, and of more than a period and this time [s], is a gap, in
-which samples are NaN. Shorter ones are interpolated: one lost sample, or stamps that a computer took, each up
-to 2 ms late or early."""
-LOST = 1.5
-"""A step of this many periods that no short one beside it makes up for is a lost sample."""
 RATES_HZ = (40.0, 10_000.0)
 """Sample rates that make sense to bring to the network's."""
-UNSORTED, BACK_S = 0.05, 0.01
-"""Share of the stamps that go back by more than this time [s] above which rows are out of order."""
-STUCK_S = 0.5
-"""Equal readings of an axis over this time [s] are left out where another axis of the sensor moves,"""
-MOVES = 10.0
-"""by a standard deviation of this many of its least steps: at rest a coarse sensor repeats itself."""
-FORCE_MOVES, RATE_MOVES = 0.5, 0.1
-"""So are all axes of a sensor where the other moves by this standard deviation [m/s², rad/s]."""
 EXACT_S = 1e-7
 """Stamps this close are the same [s]: clocks count microseconds, or lose digits since 1970."""
-RARE = 0.01
-"""Share of readings beyond any sensor's range up to which they are left out as spikes."""
 FEWEST = 8
 """Samples that a part has at least."""
-SPARSE = 20.0
-"""A part may last this many times as long as its samples fill at their rate."""
-CLOSEST = 0.05
-"""Samples closer than this share of the sample period are one."""
 
 
 def longest_part(log: Recording) -> tuple[Recording, dict[str, int]]:
@@ -53,8 +34,8 @@ def longest_part(log: Recording) -> tuple[Recording, dict[str, int]]:
         ValueError: Too few samples, rows out of order, or a sample rate that no IMU has.
     """
     unstamped = ~np.isfinite(log.time)
-    back = np.diff(log.time[~unstamped]) < -BACK_S
-    if back.sum() > UNSORTED * back.size:
+    back = np.diff(log.time[~unstamped]) < -CLEAN.back_s
+    if back.sum() > CLEAN.unsorted * back.size:
         share = f"{100 * back.mean():.0f} %"
         raise ValueError(f"{log.name}: {share} of the stamps go back: sort the rows by time")
     parts = split(log)
@@ -65,7 +46,7 @@ def longest_part(log: Recording) -> tuple[Recording, dict[str, int]]:
             f"{log.name}: {1.0 / period:.3g} samples a second; {RATES_HZ[0]:g} to {RATES_HZ[1]:g} are "
             f"allowed: {_unit_of_stamps(period)}"
         )
-    if time[-1] - time[0] > SPARSE * period * time.size:
+    if time[-1] - time[0] > CLEAN.sparse * period * time.size:
         raise ValueError(
             f"{log.name}: {time.size} samples at {1.0 / period:.0f} Hz in {time[-1] - time[0]:.0f} s: "
             "most of the log is missing"
@@ -105,11 +86,11 @@ def gaps_of(time: Array) -> tuple[NDArray[np.bool_], dict[str, Any]]:
     """Which steps of the stamps (T,) are gaps, (T − 1,), and counts of steps by the names of `LogReport`."""
     steps = np.diff(time)
     period = float(np.median(steps))
-    gap = steps > max(GAP * period, period + JITTER_S)
+    gap = steps > max(CLEAN.gap * period, period + CLEAN.jitter_s)
     # A late stamp is followed by a short step and an early one comes after one; a lost sample has neither.
     beside = np.convolve(steps / period, [1.0, 1.0], "valid")
-    alone = np.minimum(np.append(beside, np.inf), np.insert(beside, 0, np.inf)) > LOST + 1.0
-    lost = (steps / period > LOST) & alone & ~gap
+    alone = np.minimum(np.append(beside, np.inf), np.insert(beside, 0, np.inf)) > CLEAN.lost + 1.0
+    lost = (steps / period > CLEAN.lost) & alone & ~gap
     return gap, {
         "samples": time.size,
         "duration_s": float(time[-1] - time[0]),
@@ -140,10 +121,10 @@ def stuck_samples(readings: Array, period: float) -> NDArray[np.bool_]:
 
     Or of all axes of a sensor while the other sensor moves.
     """
-    least, stuck = max(round(STUCK_S / period), 3), np.zeros(readings.shape, bool)
-    for first, moves in ((0, FORCE_MOVES), (3, RATE_MOVES)):
+    least, stuck = max(round(CLEAN.stuck_s / period), 3), np.zeros(readings.shape, bool)
+    for first, moves in ((0, CLEAN.force_moves), (3, CLEAN.rate_moves)):
         sensor, other = readings[:, first : first + 3], readings[:, 3 - first : 6 - first]
-        limits = MOVES * least_steps(sensor)
+        limits = CLEAN.moves * least_steps(sensor)
         for k in range(3):
             for start, end in held(sensor[:, [k]], least):
                 stuck[start:end, first + k] = (sensor[start:end].std(axis=0) > limits).any()
@@ -171,12 +152,12 @@ def _cleaned(log: Recording) -> tuple[Recording, dict[str, int]]:
     readings = np.concatenate([log.gyro, log.accel], axis=1)
     finite = np.isfinite(readings).all(axis=1)
     beyond = finite & (np.abs(readings) > np.repeat([RATE_MAX, FORCE_MAX], 3)).any(axis=1)
-    if beyond.sum() <= RARE * finite.sum():  # many are no spikes, but of another unit
+    if beyond.sum() <= CLEAN.rare * finite.sum():  # many are no spikes, but of another unit
         finite &= ~beyond
     readings, time = readings[finite], log.time[finite]
     steps = np.diff(time)
     apart = steps[steps > EXACT_S]
-    least = max(EXACT_S, CLOSEST * float(np.median(apart))) if apart.size else EXACT_S
+    least = max(EXACT_S, CLEAN.closest * float(np.median(apart))) if apart.size else EXACT_S
     good = forward(time, least)
     readings, time = readings[good], time[good]
     if time.size < FEWEST:

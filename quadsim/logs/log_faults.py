@@ -8,45 +8,20 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter, uniform_filter1d
 
 from ..dataset.stretches import blocks_of, stretches
-from .cleaning import MOVES, held, least_steps
+from .cleaning import held, least_steps
 from .recording import Array
+from .thresholds import CLEAN, FAULT
 from .truth import LONG_S, bias_over_time
 
 FaultKind = Literal["bias jump", "stuck axis", "saturation", "vibration"]
 Sensor = Literal["gyroscope", "accelerometer"]
 
-STEP_S, LEAST_STEP_S = 10.0, 4.0
-"""The bias is compared over this time before and after a jump, and over no less at an end of the log [s]."""
-STEP, SIGMAS = np.radians(1.2), 8.0
-"""Least jump of a bias [rad/s], and in standard errors of it."""
-JUMP_S = 8.0
-"""A bias that is back sooner has not jumped [s]."""
 MOST_STEPS = 8
 """Jumps of one axis that are looked for."""
-AT_REST = 0.2
-"""The standard deviation of a turn's bias grows as this and the rate [rad/s]: delays and scale go with it."""
-BACK = 0.4
-"""A bias that is back to within this share of its jump has ended."""
-TOGETHER_S = 3.0
-"""Faults of several axes that begin within this time are one [s]."""
 
-RUN_S = 0.01
-"""A clipped reading repeats for at least this time once, and for no less than two samples [s]."""
-NEAR, PILED = 8.0, 0.5
-"""Share of the readings within `NEAR` least steps of a limit that are equal to it: at the rounded top of a
-smooth motion it is a third at most."""
-CLIPPED_S = 0.1
-"""Least time at the end of the range [s]."""
 
-BLOCK_S, LASTS_S = 0.25, 3.0
-"""Vibration is measured in blocks, and lasts at least `LASTS_S` [s]."""
 SLOW_S = 0.05
 """Motion slower than this is no vibration [s]."""
-HARMFUL, RISE = 2.0, 3.0
-"""Vibration that is reported: above this level [m/s²], and by this factor above that of the motion before."""
-MOVING, MOVING_S, MOVING_SHARE = 0.02, 5.0, 0.8
-"""Standard deviation of the rate, averaged over 0.1 s, above which the vehicle moves [rad/s]; the time before
-a vibration [s] and the share of it in which it has to move, so that motors that start are no fault."""
 NORMAL = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 
@@ -145,23 +120,25 @@ def saturations(time: Array, readings: Array, stuck: NDArray[np.bool_]) -> Itera
 def vibrations(time: Array, gyro: Array, accel: Array) -> Iterator[SensorFault]:
     """Vibration of the accelerometer that sets in while the vehicle moves, and lasts."""
     rate_hz = 1.0 / float(np.median(np.diff(time)))
-    size = max(round(BLOCK_S * rate_hz), 1)
+    size = max(round(FAULT.block_s * rate_hz), 1)
     blocks = blocks_of(fast_part(accel, rate_hz), size)
-    if (count := len(blocks)) * BLOCK_S < MOVING_S + LASTS_S:
+    if (count := len(blocks)) * FAULT.block_s < FAULT.moving_s + FAULT.lasts_s:
         return
     level = np.linalg.norm(NORMAL * np.median(np.abs(blocks), axis=1), axis=1)  # taps do not count
     moving = _moving(gyro, rate_hz, size, count)
-    lasting = median_filter(level, 2 * round(0.5 * LASTS_S / BLOCK_S) + 1, mode="nearest")
-    before, second, k = round(MOVING_S / BLOCK_S), round(1.0 / BLOCK_S), round(MOVING_S / BLOCK_S)
+    lasting = median_filter(level, 2 * round(0.5 * FAULT.lasts_s / FAULT.block_s) + 1, mode="nearest")
+    second = round(1.0 / FAULT.block_s)
+    before = k = round(FAULT.moving_s / FAULT.block_s)
     while k < count:
-        least = max(HARMFUL, RISE * float(np.median(level[:k][moving[:k]]))) if moving[:k].any() else np.inf
+        usual = float(np.median(level[:k][moving[:k]])) if moving[:k].any() else np.inf
+        least = max(FAULT.harmful, FAULT.rise * usual)
         rises = level[k] > least and lasting[k] > least and np.median(level[k - second : k]) <= least
-        if not (rises and moving[k - before : k].mean() >= MOVING_SHARE):
+        if not (rises and moving[k - before : k].mean() >= FAULT.moving_share):
             k += 1
             continue
         after = np.flatnonzero(lasting[k:] < 0.5 * least)
         end = k + int(after[0]) if after.size else count
-        if (end - k) * BLOCK_S >= LASTS_S:
+        if (end - k) * FAULT.block_s >= FAULT.lasts_s:
             rms, quiet = (np.sqrt((part**2).sum(axis=2).mean()) for part in (blocks[k:end], blocks[:k]))
             text = f"the accelerometer vibrates by {rms:.1f} m/s² RMS above 20 Hz, by {quiet:.1f} m/s² before"
             ends = float(time[k * size]), float(time[-1] if end == count else time[end * size])
@@ -190,15 +167,15 @@ def bias_jumps(gyro: Array, quat: Array, rate_hz: float) -> Iterator[SensorFault
             start, largest = (k, 0.0) if level == 0.0 else (start, largest)
             level += step
             largest = max(largest, level, key=abs)
-            if abs(level) < BACK * abs(largest):
+            if abs(level) < FAULT.back * abs(largest):
                 level = 0.0
-                if (k - start) * LONG_S >= JUMP_S:
+                if (k - start) * LONG_S >= FAULT.jump_s:
                     found.append((start, k, "xyz"[axis], largest))
         if level != 0.0:
             found.append((start, len(bias), "xyz"[axis], largest))
     while found:
         begin = min(found)[0]
-        group = [each for each in found if (each[0] - begin) * LONG_S <= TOGETHER_S]
+        group = [each for each in found if (each[0] - begin) * LONG_S <= FAULT.together_s]
         found = [each for each in found if each not in group]
         sizes = {axis: np.degrees(step) for *_, axis, step in sorted(group, key=lambda each: each[2:])}
         shown = " and ".join(f"{size:+.1f} °/s about {axis}" for axis, size in sizes.items())
@@ -217,9 +194,9 @@ def _steps(bias: Array, rates: Array, rms: Array) -> list[tuple[int, float]]:
     bias, found = bias.copy(), []
     while len(found) < MOST_STEPS:
         fits = [_step(bias, rates, rms, k) for k in range(len(bias) + 1)]
-        surely = [sigmas if abs(step) > STEP else 0.0 for step, sigmas in fits]
+        surely = [sigmas if abs(step) > np.radians(FAULT.step_deg) else 0.0 for step, sigmas in fits]
         k = int(np.argmax(surely))
-        if surely[k] < SIGMAS:
+        if surely[k] < FAULT.sigmas:
             break
         found.append((k, fits[k][0]))
         bias[k:] -= fits[k][0]
@@ -228,7 +205,7 @@ def _steps(bias: Array, rates: Array, rms: Array) -> list[tuple[int, float]]:
 
 def _step(bias: Array, rates: Array, rms: Array, k: int) -> tuple[float, float]:
     """The step of a bias (n,) at turn k [rad/s], and in its standard errors; 0 where too little is known."""
-    most, fewest = round(STEP_S / LONG_S), round(LEAST_STEP_S / LONG_S)
+    most, fewest = round(FAULT.step_s / LONG_S), round(FAULT.least_step_s / LONG_S)
     window = np.arange(max(k - most, 0), min(k + most, len(bias)))
     known = np.isfinite(bias[window])
     for side in (known[window < k], known[window >= k]):
@@ -236,7 +213,7 @@ def _step(bias: Array, rates: Array, rms: Array, k: int) -> tuple[float, float]:
             return 0.0, 0.0
     window = window[known]
     after = window >= k
-    weight = 1.0 / (AT_REST + rms[window])
+    weight = 1.0 / (FAULT.at_rest + rms[window])
     columns = weight[:, None] * np.column_stack([np.ones(len(window)), rates[window], after])
     inverse = np.linalg.pinv(columns.T @ columns)
     y, beyond = weight * bias[window], np.zeros(len(window))
@@ -255,33 +232,33 @@ def _clipped(
     values: Array, sensor: Array, stuck: NDArray[np.bool_], period: float
 ) -> Iterator[tuple[int, int, float]]:
     """First sample, end and total time [s] of the parts of an axis (T,) that are clipped from above."""
-    near, least = NEAR * least_steps(values[:, None])[0], MOVES * least_steps(sensor)
+    near, least = FAULT.near * least_steps(values[:, None])[0], CLEAN.moves * least_steps(sensor)
     frozen = np.append((sensor[1:] == sensor[:-1]).all(axis=1), False)
-    starts = held(values[:, None], max(round(RUN_S / period), 2))[:, 0]
+    starts = held(values[:, None], max(round(FAULT.run_s / period), 2))[:, 0]
     levels, counts = np.unique(values, return_counts=True)
-    often = levels[counts * period >= CLIPPED_S]
+    often = levels[counts * period >= FAULT.clipped_s]
     limits = np.intersect1d(values[starts[~frozen[starts]]], often)
     for limit in limits[limits > np.median(values)]:
         at = values == limit
         count = np.append(0, np.cumsum(at))
         below = stretches(values <= limit)
-        for first, last in below[np.diff(count[below])[:, 0] * period >= CLIPPED_S]:
+        for first, last in below[np.diff(count[below])[:, 0] * period >= FAULT.clipped_s]:
             close = [(first + a, first + b) for a, b in stretches(values[first:last] > limit - near)]
-            piled = [(a, b) for a, b in close if at[a:b].mean() >= PILED]
+            piled = [(a, b) for a, b in close if at[a:b].mean() >= FAULT.piled]
             runs = [(a, b) for a, b in piled if (sensor[max(a - 1, 0) : b + 1].std(axis=0) > least).any()]
             total = sum(int(at[a:b].sum()) for a, b in runs) * period
             alone = len(runs) == 1 and (limit < values.max() or stuck[runs[0][0] : runs[0][1]].any())
-            if total >= CLIPPED_S and not alone:
+            if total >= FAULT.clipped_s and not alone:
                 yield piled[0][0], piled[-1][1], total
 
 
 def _moving(gyro: Array, rate_hz: float, size: int, count: int) -> NDArray[np.bool_]:
     """Blocks (count,) in which the vehicle turns to and fro, over a second about each."""
     slow = uniform_filter1d(gyro, max(round(0.1 * rate_hz), 1), axis=0)
-    span = max(round(1.0 / BLOCK_S) * size, 1)
+    span = max(round(1.0 / FAULT.block_s) * size, 1)
     variance = uniform_filter1d(slow**2, span, axis=0) - uniform_filter1d(slow, span, axis=0) ** 2
     at = np.minimum(np.arange(count) * size + size // 2, len(gyro) - 1)
-    return np.asarray(variance[at].sum(axis=1) > MOVING**2)
+    return np.asarray(variance[at].sum(axis=1) > FAULT.moving**2)
 
 
 def _axes(values: NDArray) -> Iterator[tuple[Sensor, str, NDArray]]:

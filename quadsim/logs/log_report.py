@@ -11,57 +11,22 @@ from .cleaning import LONGEST_GAP_S
 from .log_faults import SensorFault
 from .mounting import MeanForce, Rest
 from .recording import TruthAxes, mount_text
+from .thresholds import CHECK
 from .truth import Alignment
 
-SLOW_HZ = 90.0
-"""Below this rate the samples lack motion of a vehicle, and a warning is given."""
-WEIGHTS = (7.0, 13.0)
-"""Median length of the specific force in flight and in the hand [m/s²]: near that of gravity."""
-UPRIGHT = 0.2
-"""Share of the specific force along body z below which a log without truth is taken for no flight."""
-REST_RATE, REST_TURN = 0.2, np.pi / 2
-"""Mean rate [rad/s] and turn [rad] of the vertical by the gyroscope, at rest, that no bias explains: an
-uncalibrated gyroscope's reaches 0.1 rad/s."""
-SLOPES = (0.8, 1.25)
-"""Gyroscope's rates over the truth's between which units agree; refused is what noise does not explain."""
-NO_TURN = 200.0
-"""and above which the truth is no attitude of this sensor: more than any mistake of units."""
-UNIT_NORM = 0.02
-"""Quaternions of the truth may be longer or shorter than one by this."""
-AGREEMENT = 0.7
-"""Correlation of the truth's turns with the gyroscope's, corrected for noise: below, frames are doubted."""
-MOUNTED_AGREEMENT = 0.9
-"""That correlation under the best rotation of the gyroscope's axes above which a mounting explains them."""
-MOUNTED_GAIN = 0.01
-"""What that rotation adds to the correlation before it is reported: 1 − cos 8°."""
-GRAVITY_TOLERANCE = 1.0
-"""Mean specific force in world axes may differ from gravity by this before it is reported [m/s²]."""
-GRAVITY_WRONG = 3.0
-"""and by this before the log is no longer scored: a frame that is turned by 18°."""
-TILT_DEG = 5.0
-"""The mean force may be this far from body z before it is reported [deg]: an accelerometer's bias and a
-breeze on a hovering vehicle amount to two or three."""
-FAR_DEG = 45.0
-"""and by more than this it is for want of a mount, which is named [deg]."""
+REST_TURN = np.pi / 2
+"""Turn of the vertical by the gyroscope, at rest, that no bias explains [rad]."""
 UNITS = {
     "accel": {"g": 1 / 9.81, "mg": 1e3 / 9.81},
     "gyro": {"deg/s": 180 / np.pi, "rad/s": np.pi / 180},
 }
 """Units that a sensor's readings are mistaken in, and the factor by which they are then wrong."""
-DELAY_TOLERANCE_S = 0.01
-"""The truth may be this late or early before it is reported: two samples of the network's."""
 DOWNWARD = (
     'it points down: frame = "frd" for forward-right-down axes in north-east-down, or accel.negate = true '
     "for a log of gravity in place of specific force"
 )
 """Reported where the mean force is upside down."""
 UNSCORED = "no attitude in this log: it can be run, not scored"
-LARGE_BIAS, LEAST_REST_S = np.radians(1.0), 10.0
-"""Rate at rest [rad/s] that is reported where no truth shows the bias, over at least this time [s]."""
-VIBRATION = 1.0
-"""Vibration above which a log without truth is warned of [m/s²]: 0.1 g shifts the mean of real sensors."""
-CLOCK_BACK_MS = 100
-"""How far a clock goes back before it is reported [ms]."""
 FAILING = "a calibration does not correct a sensor that fails: look at its supply, mount and wiring"
 """Advice where a fault begins inside the log."""
 AXES = [f"the {sensor}'s {axis}" for sensor in ("gyroscope", "accelerometer") for axis in "xyz"]
@@ -140,12 +105,12 @@ class LogReport:
     def _reading_faults(self) -> Iterator[str]:
         """Constant readings, and a specific force of another length or direction than gravity's."""
         yield from (f"{sensor} reads the same number all the time" for sensor in self.still)
-        low, high = WEIGHTS
+        low, high = CHECK.weights
         if "the accelerometer" not in self.still and not low <= self.weight <= high:
             force = f"the specific force has a median of {self.weight:.4g} m/s²"
             yield f"{force}, and gravity alone is 9.8: {_unit_of('accel', self.weight / 9.81)}"
-        elif self.truth == "none" and self.upright < UPRIGHT:
-            mend = DOWNWARD if self.upright < -UPRIGHT else f"is the frame FLU? {self._mend}"
+        elif self.truth == "none" and self.upright < CHECK.upright:
+            mend = DOWNWARD if self.upright < -CHECK.upright else f"is the frame FLU? {self._mend}"
             yield (
                 f"body z carries {self.upright:.2f} of the specific force, and in a flight it carries nearly "
                 f"all: {mend}"
@@ -155,16 +120,16 @@ class LogReport:
         """A gyroscope in another unit: by its slope over the truth, or where there is none at rest."""
         if self.aligned is None:
             seconds, rate = self.rest or (0, 0.0)
-            if rate > REST_RATE and seconds * rate > REST_TURN:
+            if rate > CHECK.rest_rate and seconds * rate > REST_TURN:
                 turn = f"across the vertical, which would turn it by {np.degrees(seconds * rate):.0f}°"
                 read = f"at rest for {seconds} s, the gyroscope reads {rate:.3g} rad/s {turn}"
                 yield f"{read}: {_unit_of('gyro', 180 / np.pi)}"
             return
-        low, high = SLOPES
+        low, high = CHECK.slopes
         slope, r = self.aligned.slope, max(self.aligned.rotated_agreement, 1e-3)
         if "the gyroscope" in self.still:
             return
-        if slope > NO_TURN:
+        if slope > CHECK.no_turn:
             yield "the truth hardly turns where the gyroscope does"
         elif r * slope > high or slope / r < low:  # whatever the noise of both
             yield (
@@ -174,21 +139,21 @@ class LogReport:
 
     def _frame_faults(self) -> Iterator[str]:
         """A truth that is no attitude, or of other axes than the readings."""
-        if self.truth_norm is not None and abs(self.truth_norm - 1.0) > UNIT_NORM:
+        if self.truth_norm is not None and abs(self.truth_norm - 1.0) > CHECK.unit_norm:
             yield f"the truth's quaternions have a length of {self.truth_norm:.3g}, not 1"
         found = self.aligned and self.aligned.turned
         if found and not self._agrees:
             fault = f"the truth does not turn as the gyroscope does (correlation {found.agreement:.2f})"
             by = f"; with the IMU rotated by {found.rotation_deg:.0f}° it does ({found.rotated:.2f})"
-            mounting = f"{by}: {self._mend_of_truth}" if found.rotated > MOUNTED_AGREEMENT else ""
+            mounting = f"{by}: {self._mend_of_truth}" if found.rotated > CHECK.mounted_agreement else ""
             yield f"{fault}: look at frame and mount{mounting}"
-        elif found and min(found.axes) < AGREEMENT:
+        elif found and min(found.axes) < CHECK.agreement:
             worst = int(np.argmin(found.axes))
             yield (
                 f"the gyroscope's {'xyz'[worst]} does not read how the truth turns about that axis "
                 f"(correlation {found.axes[worst]:.2f}): look at frame and mount"
             )
-        if self._off_gravity > GRAVITY_WRONG:
+        if self._off_gravity > CHECK.gravity_wrong:
             yield self._where_gravity
 
     def _sample_warnings(self) -> Iterator[str]:
@@ -198,7 +163,7 @@ class LogReport:
             yield f"{cut}: the longest was read"
         if self.stamps_back:
             text = f"{self.stamps_back} samples do not follow the one before in time: left out"
-            if self.clock_back_ms > CLOCK_BACK_MS:
+            if self.clock_back_ms > CHECK.clock_back_ms:
                 back = f"{self.clock_back_ms / 1e3:.1f} s"
                 text += f"; the clock goes back by {back}, and the log jumps where it resumes"
             yield text
@@ -209,7 +174,7 @@ class LogReport:
         if self.lost:
             yield f"{self.lost} single samples lost: interpolated"
         yield from (fault.sentence for fault in self.sensor_faults)
-        if self.source_rate_hz < SLOW_HZ:
+        if self.source_rate_hz < CHECK.slow_hz:
             rate, fastest = self.source_rate_hz, 0.4 * self.source_rate_hz
             yield f"sampled at {rate:.0f} Hz: motion above {fastest:.0f} Hz is not in this log"
         if self.repeated:
@@ -222,33 +187,34 @@ class LogReport:
         found, rest = self.aligned, self.rest
         if self.truth == "none":
             yield UNSCORED
-            if rest and rest.seconds >= LEAST_REST_S and rest.rate > LARGE_BIAS:
+            if rest and rest.seconds >= CHECK.least_rest_s and rest.rate > np.radians(CHECK.large_bias_deg):
                 rate = f"{np.degrees(rest.rate):.1f} °/s across the vertical"
                 failing = any(fault.sensor == "gyroscope" for fault in self.sensor_faults)
                 mend = FAILING if failing else f"`quadsim identify {self.path} --still`"
                 yield f"at rest for {rest.seconds} s, the gyroscope reads {rate}, a large bias: {mend}"
-            if self.vibration > VIBRATION:
+            if self.vibration > CHECK.vibration:
                 yield (
                     f"the accelerometer vibrates by {self.vibration:.1f} m/s² RMS above 20 Hz, and above "
-                    f"{VIBRATION:g} m/s² its mean may be shifted"
+                    f"{CHECK.vibration:g} m/s² its mean may be shifted"
                 )
         elif self.truth_share == 0.0:
             yield "the true attitude is known at no sample of the IMU: are both on one clock?"
-        if GRAVITY_TOLERANCE < self._off_gravity <= GRAVITY_WRONG:
+        if CHECK.gravity_tolerance < self._off_gravity <= CHECK.gravity_wrong:
             yield self._where_gravity
         if not self.faults:
-            if found and found.turned.gain > MOUNTED_GAIN and found.turned.common > MOUNTED_AGREEMENT:
-                turned = f"the gyroscope rotated by {found.turned.rotation_deg:.0f}°"
-                yield f"the truth turns as {turned} does: {self._mend_of_truth}"
+            turned = found and found.turned
+            if turned and turned.gain > CHECK.mounted_gain and turned.common > CHECK.mounted_agreement:
+                gyro = f"the gyroscope rotated by {turned.rotation_deg:.0f}°"
+                yield f"the truth turns as {gyro} does: {self._mend_of_truth}"
             if self.tilted:
                 yield self.tilted
-        if found and abs(found.delay_s) > DELAY_TOLERANCE_S and self._agrees:
+        if found and abs(found.delay_s) > CHECK.delay_tolerance_s and self._agrees:
             ms, which = abs(found.delay_s) * 1e3, "late" if found.delay_s > 0 else "early"
             yield f"the truth is {ms:.0f} ms {which}: scores count that as errors of the estimators"
 
     @property
     def _agrees(self) -> bool:
-        return self.aligned is None or self.aligned.turned.agreement >= AGREEMENT
+        return self.aligned is None or self.aligned.turned.agreement >= CHECK.agreement
 
     @property
     def _off_gravity(self) -> float:
@@ -266,7 +232,7 @@ class LogReport:
 
     @property
     def _mend(self) -> str:
-        far = self.level is not None and self.level.tilt_deg > FAR_DEG
+        far = self.level is not None and self.level.tilt_deg > CHECK.far_deg
         about = f', about --mount "{mount_text(self.level.mount)}"' if self.level and far else ""
         return f"`quadsim report {self.path} --find-mount best` estimates the --mount that corrects it{about}"
 
@@ -274,7 +240,7 @@ class LogReport:
     def tilted(self) -> str:
         """Of a mean force that is far from body z, how far and what corrects it; else empty."""
         mean = self.level
-        if mean is None or mean.tilt_deg <= TILT_DEG + 2 * mean.sd_deg:
+        if mean is None or mean.tilt_deg <= CHECK.tilt_deg + 2 * mean.sd_deg:
             return ""
         return f"the mean specific force is {mean.tilt_deg:.1f}° from body z: {self._mend}"
 

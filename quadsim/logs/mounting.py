@@ -18,20 +18,11 @@ from ..rotation import matrix_from_quat, quat_from_roll_pitch, quat_rotate_inver
 from ..runs.console import print_table, say
 from ..vehicle import GRAVITY
 from .recording import Array, mount_matrix, mount_text
+from .thresholds import MOUNT
 from .truth import turns_at_delay
 
-HOVER_RATE, HOVER_RMS = 0.15, 0.3
-"""Mean and root mean square of the body rate over a second of hover, at most [rad/s],"""
-HOVER_FORCE = 0.1
-"""and share by which the mean specific force of that second may differ from gravity."""
-LEAST_HOVER_S = 3
-"""Fewest seconds of hover that are used alone; with fewer the complete log is used."""
-REST_SHARE = 0.03
-"""Share of the specific force within which it stays at rest."""
 BIAS = 0.196
 """Standard deviation of an accelerometer's turn-on bias [m/s²]: the ADIS16448's in RotorS."""
-LARGEST_SD_DEG = 5.0
-"""An estimate that is less certain about an axis is refused [deg]."""
 
 
 class MeanForce(NamedTuple):
@@ -88,10 +79,10 @@ def level(gyro: Array, accel: Array, rate_hz: float) -> MeanForce | None:
     rates, forces = rates[complete], forces[complete].mean(axis=1)
     if not len(forces):
         return None
-    hover = np.linalg.norm(rates.mean(axis=1), axis=1) < HOVER_RATE
-    hover &= np.sqrt((rates**2).sum(axis=2).mean(axis=1)) < HOVER_RMS
-    hover &= np.abs(np.linalg.norm(forces, axis=1) / GRAVITY - 1.0) < HOVER_FORCE
-    alone = int(hover.sum()) >= LEAST_HOVER_S
+    hover = np.linalg.norm(rates.mean(axis=1), axis=1) < MOUNT.hover_rate
+    hover &= np.sqrt((rates**2).sum(axis=2).mean(axis=1)) < MOUNT.hover_rms
+    hover &= np.abs(np.linalg.norm(forces, axis=1) / GRAVITY - 1.0) < MOUNT.hover_force
+    alone = int(hover.sum()) >= MOUNT.least_hover_s
     forces = forces[hover] if alone else forces
     mean = forces.mean(axis=0)
     scatter = forces.std(axis=0) / np.sqrt(len(forces)) / max(float(np.linalg.norm(mean)), 1e-9)
@@ -109,13 +100,14 @@ def turn_at_rest(gyro: Array, accel: Array, rate_hz: float) -> Rest | None:
     rates, forces = (blocks_of(each, round(rate_hz)) for each in (gyro, accel))
     means, rates = forces.mean(axis=1), rates.mean(axis=1)
     size = np.linalg.norm(means, axis=1)
-    steady = np.isfinite(rates).all(axis=1) & (np.linalg.norm(forces.std(axis=1), axis=1) < REST_SHARE * size)
-    steady &= np.abs(size / GRAVITY - 1.0) < HOVER_FORCE
+    steady = np.isfinite(rates).all(axis=1)
+    steady &= np.linalg.norm(forces.std(axis=1), axis=1) < MOUNT.rest_share * size
+    steady &= np.abs(size / GRAVITY - 1.0) < MOUNT.hover_force
     found: list[Rest] = []
     for begin, last in stretches(steady):
         start = begin
         for k in range(begin + 1, last + 1):
-            if k == last or np.linalg.norm(means[k] - means[start]) > REST_SHARE * size[start]:
+            if k == last or np.linalg.norm(means[k] - means[start]) > MOUNT.rest_share * size[start]:
                 mean = rates[start:k].mean(axis=0)
                 across = float(np.linalg.norm(np.cross(means[start] / size[start], mean)))
                 found.append(Rest(k - start, across if across > 0.5 * float(np.linalg.norm(mean)) else 0.0))
@@ -156,7 +148,7 @@ def mount_from_level(found: MeanForce | None) -> MountEstimate:
     """
     if found is None:
         raise ValueError("no second without missing samples")
-    if found.sd_deg > LARGEST_SD_DEG:
+    if found.sd_deg > MOUNT.largest_sd_deg:
         raise ValueError(f"the mean force has no steady direction: {found.sd_deg:.0f}° (1 SD)")
     sd = float(np.hypot(found.sd_deg, np.degrees(BIAS / GRAVITY)))
     by = f"the mean force of {found.seconds} s {'of hover' if found.hover else 'in motion'}"
@@ -182,7 +174,7 @@ def mount_from_truth(gyro: Array, quat: Array, rate_hz: float) -> MountEstimate:
         found = Rotation.align_vectors(true, measured, return_sensitivity=True)
     rotation, distance, sensitivity = cast("tuple[Rotation, float, Array]", found)
     sd = np.degrees(np.sqrt(np.diag(sensitivity) * distance**2 / (3 * count)))
-    if not (sd < LARGEST_SD_DEG).all():
+    if not (sd < MOUNT.largest_sd_deg).all():
         raise ValueError(
             f"the mounting is uncertain by {sd.max():.0f}° (1 SD): the truth has to turn about two axes, and "
             "as the gyroscope does"

@@ -14,21 +14,13 @@ from scipy.stats import t as student
 
 from ..rotation import matrix_from_quat, quat_conjugate, quat_from_rotvec, quat_multiply, xyzw_from_wxyz
 from .recording import Array
+from .thresholds import TURN
 
 SEARCH_S = 0.5
 """Delays of more than this are not looked for."""
 SPAN_S, LONG_S = 0.1, 0.5
 """Turns over these times are compared: white noise of the truth's attitude falls as one over the time, and
 counts over the shorter in gentle motion; over the longer, fast motion turns back."""
-MOVING, SURELY_MOVING = 0.05, 0.25
-"""Least standard deviations of the rates, of both and of one alone, that say something [rad/s]."""
-TURNING = 0.1
-"""The same of the truth about an axis, for a correlation of that axis alone [rad/s]."""
-COMMON = 0.3
-"""Correlation under the best rotation or mirroring of the gyroscope's axes below which the truth's noise is
-not corrected for: chance reaches 0.2 in half a minute."""
-RATE_MAX = 2.0
-"""Turns with a mean rate above this tell nothing of the bias [rad/s]: they hold the truth's delay."""
 BLOCKS = 16
 """Parts of the log whose scatter gives the bias's interval: errors within one may be correlated."""
 
@@ -163,7 +155,7 @@ def _turns(gyro: Array, quat: Array, rate_hz: float, span_s: float) -> Turns | N
         return None
     a, b = (np.where(both[:, None], x, np.nan) for x in (measured, turn))
     spreads = [np.nanstd(x, axis=0).max() for x in (a, b)]
-    if min(spreads) < MOVING and max(spreads) < SURELY_MOVING:
+    if min(spreads) < TURN.moving and max(spreads) < TURN.surely_moving:
         return None
     return Turns(a, b, span, round(SEARCH_S * rate_hz))
 
@@ -178,10 +170,10 @@ def _agreement(rates: Turns, lag: int, rotated_lag: int) -> Agreement:
     a, b = rates.at(lag)
     plain, best = (_Cross.of(x.T @ y, (x**2).sum(), (y**2).sum()) for x, y in ((a, b), rates.at(rotated_lag)))
     common = max(float(plain.common), float(best.common))
-    explained = common if common > COMMON else 1.0
+    explained = common if common > TURN.common else 1.0
     noise = (1 - explained**2) * float((b**2).sum()) / 3
     signal = (b**2).sum(axis=0) - noise
-    turns = signal > TURNING**2 * len(b)
+    turns = signal > TURN.turning**2 * len(b)
     scale = np.sqrt(np.maximum((a**2).sum(axis=0), 1e-30) * np.where(turns, signal, 1.0))
     return Agreement(
         agreement=float(plain.agreement) / explained,
@@ -278,7 +270,7 @@ def bias_over_time(gyro: Array, quat: Array, rate_hz: float) -> tuple[Array, Arr
         np.full(len(known), np.nan),
     )
     rms[known] = np.sqrt((rates**2).sum(axis=2).mean(axis=1))
-    slow = rms[known] < RATE_MAX  # not to and fro with a small mean
+    slow = rms[known] < TURN.rate_max  # not to and fro with a small mean
     mean = bias_by_truth(gyro, quat, rate_hz).mean
     if np.isfinite(mean).all():
         beyond, lever = _beyond(rates[slow] - mean, truth[slow], 1.0 / rate_hz)
@@ -294,7 +286,7 @@ def _slow_turns(gyro: Array, quat: Array, rate_hz: float) -> tuple[NDArray[np.bo
     count = (len(gyro) - 1) // span
     rates = (0.5 * (gyro[:-1] + gyro[1:]))[: count * span].reshape(count, span, 3)
     before, after = quat[: count * span : span], quat[span : count * span + 1 : span]
-    slow = np.linalg.norm(rates.mean(axis=1), axis=1) < RATE_MAX  # not where it is NaN
+    slow = np.linalg.norm(rates.mean(axis=1), axis=1) < TURN.rate_max  # not where it is NaN
     known = slow & np.isfinite(before).all(axis=1) & np.isfinite(after).all(axis=1)
     return known, rates[known], quat_multiply(quat_conjugate(before[known]), after[known])
 

@@ -12,9 +12,9 @@ from zlib import crc32
 
 import numpy as np
 
-from ..cleaning import GAP
 from ..recording import OWN_ESTIMATE, Recording, Track
 from ..resample import interpolated
+from ..thresholds import CLEAN
 
 MAGIC = 0xBC
 STAMPS = {1: ("<HI", 1e-3), 2: ("<HQ", 1e-6)}
@@ -63,7 +63,7 @@ def read_usdlog(path: Path) -> Recording:
         both = (gyro.time >= accel.time[0]) & (gyro.time <= accel.time[-1])
         if not both.any():
             raise ValueError(f"{path}: gyroscope and accelerometer were logged at different times")
-        time, longest_s = gyro.time[both], GAP * float(np.median(np.diff(accel.time)))
+        time, longest_s = gyro.time[both], CLEAN.gap * float(np.median(np.diff(accel.time)))
         imu = Track(time, np.hstack([gyro.values[both], interpolated(time, *accel, longest_s)]))
         names = " and ".join(next(e.name for e in events if s[0] in e.variables) for s in (GYRO, ACCEL))
         notes = (*notes, f"{names}: accelerometer brought to the stamps of the gyroscope")

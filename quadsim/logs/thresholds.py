@@ -1,0 +1,12 @@
+"""Thresholds that were chosen by looking at logs; `assets/logs.toml` has their meanings and units."""
+
+import tomllib
+from types import SimpleNamespace
+
+from ..runs.fingerprint import ASSETS
+
+CLEAN, FAULT, MOUNT, STILL, TURN, CHECK = (
+    SimpleNamespace(**tomllib.loads((ASSETS / "logs.toml").read_text("utf-8"))[table])
+    for table in ("cleaning", "faults", "mounting", "still", "truth", "checks")
+)
+"""Of each table the values by name: `FAULT.step_s`."""
