@@ -72,9 +72,7 @@ class Table(Strict):
     """The CSV, from the folder of this TOML."""
     delimiter: str = ","
     header: bool = True
-    """The first row that is read holds names."""
-    skip_rows: Annotated[int, Between(0, 10**6)] = 0
-    """Rows before that."""
+    """The first row holds names."""
     frame: AxesConvention = "flu"
     """flu: body forward-left-up, world z up; frd: forward-right-down in north-east-down."""
     mount: str = "x,y,z"
@@ -155,9 +153,8 @@ def _rows(file: Path, spec: Table) -> tuple[list[str], Array]:
     """Names of the columns, and all numbers; an empty field is NaN."""
     try:
         cells = pd.read_csv(
-            file, sep=spec.delimiter, header=None, skiprows=spec.skip_rows, dtype=str,
-            encoding="utf-8-sig", skipinitialspace=True,
-        )  # fmt: skip
+            file, sep=spec.delimiter, header=None, dtype=str, encoding="utf-8-sig", skipinitialspace=True
+        )
     except ValueError as error:  # such as rows of several widths
         raise ValueError(f"{file}: {error}") from error
     names = []
