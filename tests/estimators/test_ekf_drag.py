@@ -200,9 +200,11 @@ def test_the_vehicle_s_file_gives_the_drag():
     ("name", "bias"), [("ekf-drag", [0.02, -0.015, 0.01]), ("imm", np.radians([4.1, -1.2, -1.6]))]
 )
 def test_at_rest_the_gyroscope_s_bias_is_found_on_every_axis_in_three_seconds(name, bias):
-    accel = np.tile([0.0, 0.0, GRAVITY], (1, 600, 1))
+    rng = np.random.default_rng(0)
+    gyro = rng.normal(bias, 0.002, (1, 600, 3))
+    accel = rng.normal((0.0, 0.0, GRAVITY), 0.02, (1, 600, 3))
     est = create(name, 200.0, vehicle="hummingbird")
-    run(est, np.broadcast_to(bias, accel.shape), accel)
+    run(est, gyro, accel)
     np.testing.assert_allclose(est.gyro_bias[0], bias, atol=1e-3)
 
 
