@@ -18,9 +18,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from estimators.networks.forward import THRESHOLD, TIME_CONSTANTS, Weights
+from estimators.networks.layer_parameters import DECAY, NEURON_CONSTANTS, THRESHOLD, Weights
 from training.fused import Fused
-from training.models import quantise_decay, quantise_weights
+from training.models import quantise, quantise_weights
 
 from .timing import Row, in_turns, show, spent
 
@@ -41,7 +41,7 @@ def parameters(seed: int = 0) -> Weights:
     shapes = ((HIDDEN, 6), (HIDDEN, HIDDEN), (HIDDEN, HIDDEN), (2, HIDDEN))
     scales = (0.12, 0.03, 0.01, 0.1)
     w = [quantise_weights(torch.tensor(rng.normal(0, k, s))) for s, k in zip(shapes, scales, strict=True)]
-    tau = [quantise_decay(torch.tensor(rng.uniform(0.5, 0.98, k))) for k in (*[HIDDEN] * 4, 1, 1)]
+    tau = [quantise(torch.tensor(rng.uniform(0.5, 0.98, k)), DECAY) for k in (*[HIDDEN] * 4, 1, 1)]
     return Weights(*(x.float().requires_grad_() for x in (*w, *tau)))
 
 
@@ -65,7 +65,7 @@ def norse(n: int, steps: int) -> Network:
     from norse.torch import LICell, LIFCell, LIFParameters, LIFRecurrentCell, LIParameters
 
     w = parameters()
-    rate = {name: (1 - getattr(w, name).detach()).requires_grad_() for name in TIME_CONSTANTS}
+    rate = {name: (1 - getattr(w, name).detach()).requires_grad_() for name in NEURON_CONSTANTS}
     w_in, w_ff, w_rec, w_out = (
         (getattr(w, name) / (1 - getattr(w, mem))[:, None]).detach().requires_grad_()
         for name, mem in (("w_in", "mem0"), ("w_ff", "mem1"), ("w_rec", "mem1"), ("w_out", "mem2"))

@@ -15,8 +15,8 @@ from torch import Tensor
 
 from estimators.loihi.neurons import STATE_ONE
 from estimators.networks.encoder import INPUT_ONE
-from estimators.networks.forward import THRESHOLD, Weights, packed
-from estimators.spiking import SURROGATE_WIDTH
+from estimators.networks.forward import packed
+from estimators.networks.layer_parameters import Weights
 
 from .window_kernels import Floats, Gradients, Trace, backward_window, forward_window
 
@@ -32,6 +32,7 @@ class Workspace:
         sizes = (part.stop - part.start for part in self.parts)
         self.traces = [Trace.empty(steps, size, self.sizes, self.dtype) for size in sizes]
         self.places = np.array(self.sizes[:2]) * n * steps  # where spikes can be
+        self.thresholds = np.zeros(sum(self.sizes))
         self.runs = 0
 
     def each(self, function) -> list:
@@ -49,6 +50,8 @@ class _Fused(torch.autograd.Function):
     ) -> tuple[Tensor, Tensor]:
         w = Weights(*(each.detach().numpy() for each in weights))
         network = packed(w, kernels.quantised, kernels.recurrent_delay)
+        one = float(STATE_ONE) if kernels.quantised else 1.0
+        space.thresholds = network.table[2] / one
         number = network.weights.dtype.type if network.weights.dtype.kind == "f" else np.int32
         samples = x.detach().numpy()
 
@@ -56,7 +59,7 @@ class _Fused(torch.autograd.Function):
             trace.begin(reset[part])
             window = np.ascontiguousarray(samples[part].transpose(1, 0, 2) * INPUT_ONE, network.table.dtype)
             sums = np.zeros(network.weights.shape[2], number)
-            forward_window(window, *network, sums, float(STATE_ONE) if kernels.quantised else 1.0, trace)
+            forward_window(window, *network, sums, one, trace)
 
         space.each(run)
         space.runs += 1
@@ -75,41 +78,21 @@ class _Fused(torch.autograd.Function):
         weights: Weights[Floats] = ctx.weights
         if space.runs != ctx.run:
             raise RuntimeError("the workspace has run another window since this one: its trace is gone")
-        h0, h1, outputs = space.sizes
-        constants = [THRESHOLD, SURROGATE_WIDTH, 1.0, 0.0, *grads[1].numpy() / space.places]
-        constants = tuple(np.array(constants, space.dtype))
+        of_spikes = (grads[1].numpy() / space.places).astype(space.dtype)
 
-        def run(part: slice, trace: Trace) -> Gradients:
-            n = part.stop - part.start
-            shapes = [(ctx.x.shape[2], h0), (h0 + h1, h1 + outputs), ((h0 + h1) * ctx.later, h1)]
-            shapes += [(n, h0 + h1)] * 2 + [(2,)]
-            gradients = Gradients(*(np.zeros(shape, space.dtype) for shape in shapes))
+        def run(part: slice, trace: Trace) -> Weights[Floats]:
+            gradients = Gradients.zeros(weights, part.stop - part.start, ctx.later)
             window, of_output = (
                 np.ascontiguousarray(each[part].transpose(1, 0, 2), space.dtype)
                 for each in (ctx.x, grads[0].numpy())
             )
-            backward_window(
-                window, of_output, weights, trace, gradients, tuple(np.array(constants, space.dtype))
-            )
-            return gradients._replace(syn=gradients.syn.sum(0), mem=gradients.mem.sum(0))
+            backward_window(window, of_output, of_spikes, weights, trace, gradients)
+            return gradients.of_weights()
 
         total, *others = space.each(run)
         for part in others:
-            total = Gradients(*(a + b for a, b in zip(total, part, strict=True)))
-        recurrent = total.w_later if ctx.later else total.w
-        found = Weights(
-            w_in=total.w_in.T,
-            w_ff=total.w[:h0, :h1].T,
-            w_rec=recurrent[h0:, :h1].T,
-            w_out=total.w[h0:, h1:].T,
-            syn0=total.syn[:h0],
-            mem0=total.mem[:h0],
-            syn1=total.syn[h0:],
-            mem1=total.mem[h0:],
-            syn2=total.outputs[:1],
-            mem2=total.outputs[1:],
-        )
-        return None, None, None, None, *(torch.from_numpy(np.ascontiguousarray(each)) for each in found)
+            total = [a + b for a, b in zip(total, part, strict=True)]
+        return None, None, None, None, *(torch.from_numpy(np.ascontiguousarray(each)) for each in total)
 
 
 class Fused:
@@ -151,7 +134,8 @@ class Fused:
         """Spikes of the encoding (n, T, h0) and of the hidden layer (n, T, h1) in the last window."""
         v = np.concatenate([trace.v[2:] for trace in self._last.traces], 1).transpose(1, 0, 2)
         h0, h1, _ = self._last.sizes
-        return v[..., :h0] > THRESHOLD, v[..., h0 : h0 + h1] > THRESHOLD
+        fired = v > self._last.thresholds
+        return fired[..., :h0], fired[..., h0 : h0 + h1]
 
     def peak_currents(self, every: int = 1) -> tuple[Floats, Floats]:
         """Largest currents of both layers in every so many steps."""

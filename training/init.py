@@ -9,13 +9,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from estimators.networks.forward import MATRICES, TIME_CONSTANTS
-from estimators.networks.weights_file import AXES
+from estimators.networks.layer_parameters import MATRICES, PARAMETERS
 
 from .models import MEMBRANES, AttSNN
 
-PAPER_DECAYS = {"syn0": 0.08, "mem0": 0.03, "syn1": 0.08, "mem1": 0.03, "syn2": 0.5, "mem2": 0.08}
-"""1 - τ of every neuron at first in the paper's code, github.com/tudelft/neuromorphic_attitude_estimation."""
 CONTROLLER_TAUS = {
     "syn0": (0.5, 2.0),
     "mem0": (1.0, 60.0),
@@ -30,22 +27,20 @@ FAN_IN = 25
 
 
 def initialise_random(model: AttSNN, seed: int) -> None:
-    """The initial values of the paper's published code: one time constant a layer, weights at random.
+    """The initial weights of the paper's published code, at random; constants stay as the model has them.
 
     Into the encoding and the output layer uniform within ± 1 / √inputs, the others normal with a variance of
     2 / hidden, over 1 - τ_mem of the neurons that they lead to.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed))
-    values = {name: 1.0 - np.full(getattr(model, name).shape, PAPER_DECAYS[name]) for name in TIME_CONSTANTS}
+    values = {}
     for name in MATRICES:
         shape = getattr(model, name).shape
         limit, deviation = 1 / math.sqrt(shape[1]), math.sqrt(2 / shape[0])
         edge = name in ("w_in", "w_out")
         drawn = rng.uniform(-limit, limit, shape) if edge else rng.normal(0.0, deviation, shape)
-        values[name] = drawn * (1.0 - values[MEMBRANES[AXES[name][0]]]).reshape(-1, 1)
-    for name in TIME_CONSTANTS:
-        model.set_taus(name, values[name])
-    _set_weights(model, {name: values[name] for name in MATRICES})
+        values[name] = drawn * (1.0 - PARAMETERS[MEMBRANES[PARAMETERS[name].layer]].first)
+    _set_weights(model, values)
 
 
 def initialise_controller(
@@ -67,9 +62,9 @@ def initialise_controller(
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     for name, limits in CONTROLLER_TAUS.items():
         low, high = map(math.log, limits)
-        model.set_taus(name, np.exp(-1.0 / np.exp(rng.uniform(low, high, getattr(model, name).shape))))
+        model.set_constants(name, np.exp(-1.0 / np.exp(rng.uniform(low, high, getattr(model, name).shape))))
     values = {name: np.zeros(getattr(model, name).shape) for name in MATRICES}
-    values["w_in"] = _random_encoders(x, model.tau("syn0").detach().numpy(), rng)
+    values["w_in"] = _random_encoders(x, model.constants("syn0").detach().numpy(), rng)
     for k in range(len(values["w_ff"])):
         encoders = values["w_ff"][k].size
         chosen = rng.choice(encoders, min(FAN_IN, encoders), replace=False)
@@ -78,7 +73,7 @@ def initialise_controller(
     values["w_rec"] = rng.normal(size=shape) * (rng.random(shape) < 0.1) * 0.02
     _set_weights(model, values)
     first, _ = _layer_spikes(model, x)
-    current = _filtered(first @ values["w_ff"].T, model.tau("syn1").detach().numpy())
+    current = _filtered(first @ values["w_ff"].T, model.constants("syn1").detach().numpy())
     values["w_ff"] *= _drive_scale(current, rng)[:, None]
     _set_weights(model, values)
     values["w_out"] = _solve_outputs(model, x, target)
@@ -132,7 +127,7 @@ def _solve_outputs(model: AttSNN, x: NDArray[np.float64], target: NDArray[np.flo
     _, spikes = _layer_spikes(model, x)
     features = spikes.astype(np.float32)
     for name in ("syn2", "mem2"):
-        features = _filtered(features, model.tau(name).detach().numpy())
+        features = _filtered(features, model.constants(name).detach().numpy())
     settled = x.shape[1] // 4
     a = features[:, settled:].reshape(-1, features.shape[2]).astype(np.float64)
     b = target[:, settled:].reshape(-1, target.shape[-1]) / model.output_scale

@@ -9,8 +9,16 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from estimators.networks.forward import MATRICES, TIME_CONSTANTS, Weights
-from estimators.networks.weights_file import AXES, EXPONENTS, NetworkConfig, Tensors, expected_shapes
+from estimators.networks.layer_parameters import (
+    DECAY,
+    EXPONENTS,
+    MATRICES,
+    NEURON_CONSTANTS,
+    PARAMETERS,
+    Kind,
+    Weights,
+)
+from estimators.networks.weights_file import NetworkConfig, Tensors, expected_shapes
 
 from .config import TrainConfig
 from .fused import Fused
@@ -19,12 +27,10 @@ WEIGHT_MAX = 127 / 128
 """Largest weight of either sign on the chip."""
 CURRENT_MAX, CURRENT_EVERY = 384.0, 8
 """Largest current, three quarters of the chip's 24 bits; every eighth step is checked."""
-MEMBRANES = {"encoding": "mem0", "hidden": "mem1", "outputs": "mem2"}
+MEMBRANES = {each.layer: name for name, each in PARAMETERS.items() if each.role == "dv"}
 """Membrane time constants of the neurons that a matrix leads to."""
 CONTROL_SCALE = 32.0
 """Angular acceleration for an output potential of 1.0 of a new controller [rad/s²]."""
-LEAST_DECAY = 1 / 4096
-"""Of a current or membrane, in a step."""
 
 
 def weight_exponents(w: Tensor, finest: int) -> Tensor:
@@ -44,9 +50,9 @@ def quantise_weights(w: Tensor, finest: int = 0) -> Tensor:
     return _straight(w, torch.clamp(torch.round(w / step), -128, 127) * step)
 
 
-def quantise_decay(tau: Tensor) -> Tensor:
-    """Nearest τ of which 4096 (1 - τ) is a whole number, 1...4096. Gradient straight through."""
-    return _straight(tau, 1 - torch.clamp(torch.round(4096 * (1 - tau)), 1, 4096) / 4096)
+def quantise(value: Tensor, kind: Kind) -> Tensor:
+    """Nearest value of a neuron's constant that the chip can hold. Gradient straight through."""
+    return _straight(value, kind.real(torch.clamp(torch.round(kind.whole(value)), kind.low, kind.high)))
 
 
 def _straight(value: Tensor, rounded: Tensor) -> Tensor:
@@ -70,7 +76,7 @@ def network_of(config: TrainConfig) -> NetworkConfig:
 
 
 class AttSNN(nn.Module):
-    """The spiking network, all connections and no values, which `training.init` fills.
+    """The spiking network: all connections, weights of 0, which `training.init` sets, and first constants.
 
     Its time constants are trained as logits of τ and its weights in units of their row's, or both as in the
     paper's published code: see `training.config.Optimisation.logits`. Kernels for a quantised network take
@@ -82,19 +88,19 @@ class AttSNN(nn.Module):
 
     w_in: Tensor
     w_ff: Tensor
-    syn0: Tensor
-    syn1: Tensor
 
     def __init__(self, config: TrainConfig) -> None:
         super().__init__()
         self.network, self.logits = network_of(config), config.method.logits
-        self.finest = dict.fromkeys(EXPONENTS, config.finest_exponent)
+        self.finest = config.finest_exponent
         self.kernels = Fused(config.quantised, config.recurrent_delay, config.threads)
         self.output_scale = self.network.output_scale
         for name, shape in expected_shapes(self.network).items():
             self.register_parameter(name, nn.Parameter(torch.zeros(shape)))
         for name in MATRICES:  # a step of the optimiser is relative to these
             self.register_buffer(f"{name}_scale", torch.ones(getattr(self, name).shape[0], 1))
+        for name in NEURON_CONSTANTS:
+            self.set_constants(name, np.full(getattr(self, name).shape, PARAMETERS[name].first))
 
     def set_weights(self, name: str, values: NDArray[np.floating]) -> None:
         """Set a weight matrix, and its rows' scales to their root mean square."""
@@ -108,29 +114,33 @@ class AttSNN(nn.Module):
 
     def _units(self, name: str) -> Tensor:
         """Weights for a parameter of 1, a row for each neuron that they lead to."""
-        scale = getattr(self, f"{name}_scale")
-        return scale if self.logits else scale * (1.0 - self.tau(MEMBRANES[AXES[name][0]])).reshape(-1, 1)
+        scale, membranes = getattr(self, f"{name}_scale"), MEMBRANES[PARAMETERS[name].layer]
+        return scale if self.logits else scale * (1.0 - self.constants(membranes)).reshape(-1, 1)
 
-    def set_taus(self, name: str, values: NDArray[np.floating]) -> None:
-        """Set time constants of a kind, before the weights that they scale."""
-        tau = torch.tensor(values)
-        raw = torch.log(tau / (1 - tau)) if self.logits else 1 - tau
+    def set_constants(self, name: str, values: NDArray[np.floating]) -> None:
+        """Set constants of neurons, before the weights that they scale."""
+        value, kind = torch.tensor(values), PARAMETERS[name].kind
+        raw = torch.log(value / (1 - value)) if self._is_logit(name) else kind.whole(value) * kind.step
         with torch.no_grad():
             getattr(self, name).copy_(raw)
 
-    def tau(self, name: str) -> Tensor:
-        """Time constants of a kind."""
-        value = getattr(self, name)
-        return torch.sigmoid(value) if self.logits else 1.0 - value
+    def constants(self, name: str) -> Tensor:
+        """Constants of neurons, such as time constants τ."""
+        raw, kind = getattr(self, name), PARAMETERS[name].kind
+        return torch.sigmoid(raw) if self._is_logit(name) else kind.real(raw / kind.step)
+
+    def _is_logit(self, name: str) -> bool:
+        return self.logits and PARAMETERS[name].kind is DECAY
 
     def weights(self) -> Weights:
         """Weights and time constants as the network uses them."""
         w = {name: getattr(self, name) * self._units(name) for name in MATRICES}
-        tau = {name: self.tau(name) for name in TIME_CONSTANTS}
+        constants = {name: self.constants(name) for name in NEURON_CONSTANTS}
         if self.kernels.quantised:
-            w = {name: quantise_weights(value, self.finest.get(name, 0)) for name, value in w.items()}
-            tau = {name: quantise_decay(value) for name, value in tau.items()}
-        return Weights(**(w | tau))
+            finest = dict.fromkeys(EXPONENTS, self.finest)
+            w = {name: quantise_weights(value, finest.get(name, 0)) for name, value in w.items()}
+            constants = {name: quantise(value, PARAMETERS[name].kind) for name, value in constants.items()}
+        return Weights(**w, **constants)
 
     def forward(self, x: Tensor, reset: NDArray[np.bool_] | None = None) -> tuple[Tensor, Tensor]:
         """Outputs (n, T, outputs) of a window of scaled inputs (n, T, inputs), and spike rates (2,).
@@ -144,8 +154,10 @@ class AttSNN(nn.Module):
     @torch.no_grad()
     def constrain(self) -> None:
         """Clip all to their range."""
-        for name in TIME_CONSTANTS:
-            getattr(self, name).clamp_(*((-6.0, math.log(4095.0)) if self.logits else (LEAST_DECAY, 1.0)))
+        for name in NEURON_CONSTANTS:
+            kind = PARAMETERS[name].kind
+            limits = (kind.low * kind.step, kind.high * kind.step)
+            getattr(self, name).clamp_(*((-6.0, math.log(4095.0)) if self._is_logit(name) else limits))
         for name in MATRICES if self.kernels.quantised else ():
             w, limit = getattr(self, name), WEIGHT_MAX / self._units(name)
             w.copy_(torch.minimum(torch.maximum(w, -limit), limit))
@@ -171,13 +183,10 @@ class AttSNN(nn.Module):
         arrays = {name: w.numpy() for name, w in self.weights()._asdict().items()}
         if not self.network.quantised:
             return {name: w.astype(np.float32) for name, w in arrays.items()}
-        whole = {name: 4096 * (1 - arrays[name].astype(np.float64)) for name in TIME_CONSTANTS}
-        for name in MATRICES:
-            whole[name] = arrays[name] * 256
-            if finest := self.finest.get(name, 0):
-                exponents = weight_exponents(torch.from_numpy(arrays[name]), finest).numpy()
-                whole[name] = whole[name] * np.exp2(-exponents)
-                whole[EXPONENTS[name]] = exponents[:, 0]
+        whole = {name: PARAMETERS[name].kind.whole(w.astype(np.float64)) for name, w in arrays.items()}
+        for name, exponent in EXPONENTS.items() if self.finest else ():
+            exponents = weight_exponents(torch.from_numpy(arrays[name]), self.finest).numpy()
+            whole[name], whole[exponent] = whole[name] * np.exp2(-exponents), exponents[:, 0]
         return {name: np.rint(value).astype(np.int16) for name, value in whole.items()}
 
 

@@ -13,8 +13,7 @@ from torch import Tensor, nn
 from torch.nn.functional import huber_loss
 from torch.optim import Optimizer
 
-from estimators.networks.forward import TIME_CONSTANTS
-from estimators.networks.weights_file import AXES
+from estimators.networks.layer_parameters import MATRICES, NEURON_CONSTANTS, PARAMETERS
 
 from .config import TrainConfig, TrainingRecipe
 
@@ -90,9 +89,9 @@ def new_optimiser(model: nn.Module, config: TrainingRecipe) -> Lookahead:
     layers: dict[str, float] = dict(
         zip(("encoding", "hidden", "outputs"), config.method.layer_steps, strict=True)
     )
-    steps = {name: layers[axes[0]] for name, axes in AXES.items() if name.startswith("w_")}
+    steps = {name: layers[PARAMETERS[name].layer] for name in MATRICES}
     for name, parameter in model.named_parameters():
-        parameter.requires_grad_(not (config.fixed_taus and name in TIME_CONSTANTS))
+        parameter.requires_grad_(not (config.fixed_taus and name in NEURON_CONSTANTS))
     groups = [{"params": [p], "step": steps.get(name, 1.0)} for name, p in model.named_parameters()]
     adam = torch.optim.Adam(groups, lr=config.optimiser_lr, betas=(0.9, config.method.adam_beta2))
     return Lookahead(adam)

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from estimators.loihi.neurons import NeuronState, list_spikes, neurons_of, step
 from estimators.networks.forward import advance
+from estimators.networks.layer_parameters import THRESHOLD, Weights
+from estimators.spiking import SURROGATE_WIDTH
 from quadsim.runs.compiled import njit
 
 Floats = NDArray[np.floating]
@@ -93,24 +95,52 @@ class Gradients(NamedTuple):
     mem: Floats  #: as syn
     outputs: Floats  #: syn and mem of the outputs, (2,)
 
+    @classmethod
+    def zeros(cls, weights: Weights[Floats], n: int, later: bool) -> Gradients:
+        """Sums to add to, for n sequences."""
+        (h0, inputs), (outputs, h1) = weights.w_in.shape, weights.w_out.shape
+        both = h0 + h1
+        shapes = (inputs, h0), (both, h1 + outputs), (both * later, h1), (n, both), (n, both), (2,)
+        return cls(*(np.zeros(shape, weights.w_ff.dtype) for shape in shapes))
+
+    def of_weights(self) -> Weights[Floats]:
+        """Gradients of the weights, for all sequences together."""
+        h0, h1 = self.w_in.shape[1], self.w_later.shape[1]
+        recurrent = self.w_later if len(self.w_later) else self.w
+        syn, mem = self.syn.sum(0), self.mem.sum(0)
+        return Weights(
+            w_in=self.w_in.T,
+            w_ff=self.w[:h0, :h1].T,
+            w_rec=recurrent[h0:, :h1].T,
+            w_out=self.w[h0:, h1:].T,
+            syn0=syn[:h0],
+            mem0=mem[:h0],
+            syn1=syn[h0:],
+            mem1=mem[h0:],
+            syn2=self.outputs[:1],
+            mem2=self.outputs[1:],
+        )
+
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def backward_window(x, grad, weights, trace, gradients, constants):
+def backward_window(x, grad, of_spikes, weights, trace, gradients):
     """Add the gradients of a window.
 
     Args:
         x: Input, shape (T, n, inputs).
         grad: Gradient of the outputs, shape (T, n, outputs).
-        weights: `Weights` in units of 1.0, in the floating type of the computation.
+        of_spikes: Gradient of every spike of the encoding and of the hidden layer, (2,).
+        weights: `Weights` in units of 1.0.
         trace: What the forward pass left.
-        gradients: Changed.
-        constants: Threshold, surrogate width, 1.0, 0.0, and the gradient of every spike of the encoding
-            and of the hidden layer, in the floating type of the computation.
+        gradients: Changed; as all of these in the floating type of the computation.
     """
-    threshold, width, one, zero, of_encoding, of_hidden_spike = constants
+    of_encoding, of_hidden_spike = of_spikes
+    number = grad.dtype
+    threshold, width = number.type(THRESHOLD), number.type(SURROGATE_WIDTH)
+    one, zero = number.type(1.0), number.type(0.0)
     steps, n, outputs = grad.shape
     h1, h0 = weights.w_ff.shape
-    both, u, v, spikes, number, w_out = h0 + h1, trace.u, trace.v, trace.spikes, grad.dtype, weights.w_out
+    both, u, v, spikes, w_out = h0 + h1, trace.u, trace.v, trace.spikes, weights.w_out
     w_down = np.concatenate((weights.w_ff, weights.w_rec), 1)
     syn, mem = np.concatenate((weights.syn0, weights.syn1)), np.concatenate((weights.mem0, weights.mem1))
     syn2, mem2, later = weights.syn2[0], weights.mem2[0], gradients.w_later.shape[0] > 0

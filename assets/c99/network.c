@@ -45,8 +45,8 @@ static const struct {
     int32_t keep_u, keep_v;
     uint8_t unit_ff, unit_rec; /* how many units of state its weights are in steps of */
 } NEURON[HIDDEN] = $neurons;
-static const int32_t OUTPUT_KEEP_U = $syn2;
-static const int32_t OUTPUT_KEEP_V = $mem2;
+static const int32_t OUTPUT_KEEP_U = $du;
+static const int32_t OUTPUT_KEEP_V = $dv;
 
 static const double OFFSET[6] = $offset;
 static const double GAIN[6] = $gain;

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from ..evaluation.flights import Flights
 from ..metrics import attitude_error
+from ..networks.layer_parameters import PARAMETERS
 from ..networks.network import NetworkEstimator, Spiking
-from ..networks.weights_file import AXES, EXPONENTS, NetworkConfig, Tensors
+from ..networks.weights_file import NetworkConfig, Tensors
 
 Array = NDArray[np.float64]
 
@@ -20,9 +21,9 @@ def without(
 ) -> tuple[NetworkConfig, Tensors]:
     """The network of the connected neurons, indices of the encoding and of the hidden layer."""
     left = {name: np.sort(ids) for name, ids in zip(("encoding", "hidden"), keep, strict=True)}
-    smaller, axes = dict(tensors), AXES | dict.fromkeys(EXPONENTS.values(), ("hidden",))
+    smaller = dict(tensors)
     for name in tensors:
-        for k, axis in enumerate(axes[name]):
+        for k, axis in enumerate(PARAMETERS[name].axes):
             if axis in left:
                 smaller[name] = smaller[name].take(left[axis], k)
     return config.model_copy(update={name: ids.size for name, ids in left.items()}), smaller

@@ -18,10 +18,10 @@ from quadsim.runs.fingerprint import ASSETS
 from quadsim.vehicle import GRAVITY
 
 from ..control.controller import THRUST_MAX, set_point_gain
-from ..loihi.neurons import DECAY_ONE, STATE_ONE
+from ..loihi.neurons import STATE_ONE
 from ..networks.encoder import INPUT_MAX, input_scaling
-from ..networks.forward import MATRICES, TIME_CONSTANTS
-from ..networks.weights_file import EXPONENTS, NetworkConfig, Tensors, exponents, parameters
+from ..networks.layer_parameters import PARAMETERS, complete, of_layer
+from ..networks.weights_file import NetworkConfig, Tensors, parameters
 
 Ints = NDArray[np.int64]
 
@@ -115,19 +115,18 @@ def _set_points(config: NetworkConfig) -> dict[str, str | float]:
 
 def _integers(tensors: Tensors) -> dict[str, str]:
     """Weights and decays as the C code reads them."""
-    integers = {name: value.astype(np.int64) for name, value in tensors.items()}
-    halves = {name: integers[name] // 2 for name in MATRICES if name in integers}
-    keep = {name: (DECAY_ONE - integers[name]) << 19 for name in TIME_CONSTANTS if name in integers}
-    units = {name: 1 << (7 + exponents(integers, name)) for name in EXPONENTS if name in integers}
-    found = {name: str(keep[name][0]) for name in ("syn2", "mem2")}
-    for name in ("ff", "rec"):
-        rows, ranges = _blocks(halves[f"w_{name}"])
-        found[f"w_{name}"], found[f"from_{name}"] = braces(rows, hexadecimal=True), braces(ranges)
-    found["w_out"] = braces(halves["w_out"].T)
-    own = (_pairs(halves["w_in"]), keep["syn0"], keep["mem0"])
-    encoders = (f"{{{u}, {v}, {braces(w, hexadecimal=True)}}}" for w, u, v in zip(*own, strict=True))
-    neurons = np.stack([keep["syn1"], keep["mem1"], units["w_ff"], units["w_rec"]], 1)
-    return found | {"encoders": "{\n" + ",\n".join(encoders) + "}", "neurons": braces(neurons)}
+    integers = {name: value.astype(np.int64) for name, value in complete(tensors).items()}
+    found = {name: PARAMETERS[name].kind.in_c(value) for name, value in integers.items()}
+    encoding, hidden, outputs = (of_layer(found, layer) for layer in ("encoding", "hidden", "outputs"))
+    named = {role: str(value[0]) for role, value in outputs.items() if role != "w_in"}
+    named["w_out"] = braces(outputs["w_in"].T)
+    for name, role in (("ff", "w_in"), ("rec", "w_rec")):
+        rows, ranges = _blocks(hidden.pop(role))
+        named[f"w_{name}"], named[f"from_{name}"] = braces(rows, hexadecimal=True), braces(ranges)
+    weights = [braces(w, hexadecimal=True) for w in _pairs(encoding.pop("w_in"))]
+    encoders = (f"{{{', '.join(map(str, row))}}}" for row in zip(*encoding.values(), weights, strict=True))
+    named["encoders"] = "{\n" + ",\n".join(encoders) + "}"
+    return named | {"neurons": braces(np.stack([*hidden.values()], 1))}
 
 
 def _blocks(weights: Ints) -> tuple[Ints, Ints]:

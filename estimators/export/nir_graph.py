@@ -29,8 +29,9 @@ from quadsim.runs.files import replace
 
 from ..control.controller import set_point_gain
 from ..networks.encoder import input_scaling
-from ..networks.forward import BIAS_EXP, THRESHOLD, real_weights
-from ..networks.weights_file import NetworkConfig, Tensors, exponents
+from ..networks.forward import BIAS_EXP, real_weights
+from ..networks.layer_parameters import EXPONENTS, NEURON_CONSTANTS, THRESHOLDS, complete, of_layer
+from ..networks.weights_file import NetworkConfig, Tensors
 
 Array = NDArray[np.float64]
 STEP = 1e-4
@@ -49,35 +50,51 @@ def write_nir(path: str | Path, config: NetworkConfig, tensors: Tensors) -> None
     if config.recurrent_delay != 1:
         raise ValueError("a NIR graph needs weights of att-snn with a recurrent delay of 1")
     values = real_weights(config, tensors)
-
-    def integers(**names: str) -> dict[str, NDArray]:
-        return {key: tensors[name] for key, name in names.items()} if config.quantised else {}
+    whole = complete(tensors) if config.quantised else {}
+    real = {name: getattr(values, name) for name in NEURON_CONSTANTS}
+    integers = {name: whole[name] for name in NEURON_CONSTANTS if whole}
+    hidden, outputs = config.hidden, config.n_outputs
 
     def weights(name: str) -> nir.Linear:
-        w, whole = getattr(values, name), integers(mantissa=name)
-        if whole:
-            whole["exponent"] = exponents(tensors, name)
-        return _linear(w, whole)
+        w = getattr(values, name)
+        exponents = whole.get(EXPONENTS.get(name, ""), np.zeros(len(w), np.int16))
+        return _linear(w, {"mantissa": whole[name], "exponent": exponents} if whole else None)
 
-    def decay(name: str, size: int, key: str = "du") -> nir.Linear:
-        return _linear(np.diag(np.broadcast_to(getattr(values, name), size)), integers(**{key: name}))
+    def decay(layer: str, role: str, size: int) -> nir.Linear:
+        tau, metadata = of_layer(real, layer)[role], of_layer(integers, layer)
+        return _linear(np.diag(np.broadcast_to(tau, size)), {role: metadata[role]} if whole else None)
 
-    hidden, outputs = config.hidden, config.n_outputs
-    none = np.zeros(hidden)
+    def neurons(layer: str) -> nir.CubaLIF:
+        constants = {"vth": np.array(THRESHOLDS[layer])} | of_layer(real, layer)
+        metadata = of_layer(integers, layer)
+        if layer == "hidden":  # an integrator in front of it has its current
+            constants["du"] = np.zeros(hidden)
+            metadata.pop("du", None)
+        tau_syn, tau_mem = STEP / (1 - constants["du"]), STEP / (1 - constants["dv"])
+        return nir.CubaLIF(
+            tau_syn=tau_syn,
+            tau_mem=tau_mem,
+            r=tau_mem / STEP,
+            w_in=tau_syn / STEP,
+            v_leak=np.zeros_like(tau_mem),
+            v_threshold=np.broadcast_to(constants["vth"], tau_mem.shape),
+            metadata=metadata,
+        )
+
     layers: dict[str, tuple[nir.NIRNode, tuple[str, ...]]] = {
         "input": (nir.Input({"input": np.array([config.n_inputs])}), ()),
         "w_in": (weights("w_in"), ("input",)),
-        "encoding": (_neurons(values.syn0, values.mem0, integers(du="syn0", dv="mem0")), ("w_in",)),
+        "encoding": (neurons("encoding"), ("w_in",)),
         "w_ff": (weights("w_ff"), ("encoding",)),
         "current": (_linear(np.eye(hidden)), ("w_ff", "w_rec", "current_decay")),
-        "current_decay": (decay("syn1", hidden), ("current",)),
-        "hidden": (_neurons(none, values.mem1, integers(dv="mem1")), ("current",)),
+        "current_decay": (decay("hidden", "du", hidden), ("current",)),
+        "hidden": (neurons("hidden"), ("current",)),
         "w_rec": (weights("w_rec"), ("hidden",)),
         "w_out": (weights("w_out"), ("hidden",)),
         "output_current": (_linear(np.eye(outputs)), ("w_out", "output_current_decay")),
-        "output_current_decay": (decay("syn2", outputs), ("output_current",)),
+        "output_current_decay": (decay("outputs", "du", outputs), ("output_current",)),
         "output": (_linear(np.eye(outputs)), ("output_current", "output_decay")),
-        "output_decay": (decay("mem2", outputs, "dv"), ("output",)),
+        "output_decay": (decay("outputs", "dv", outputs), ("output",)),
         "finish": (nir.Output({"output": np.array([outputs])}), ("output",)),
     }
     numbered = {name: f"{k:02d}_{name}" for k, name in enumerate(layers)}
@@ -91,19 +108,6 @@ def write_nir(path: str | Path, config: NetworkConfig, tensors: Tensors) -> None
 
 def _linear(weight: Array, metadata: dict[str, NDArray] | None = None) -> nir.Linear:
     return nir.Linear(weight=weight, metadata=metadata or {})
-
-
-def _neurons(syn: Array, mem: Array, metadata: dict[str, NDArray]) -> nir.CubaLIF:
-    tau_syn, tau_mem = STEP / (1 - syn), STEP / (1 - mem)
-    return nir.CubaLIF(
-        tau_syn=tau_syn,
-        tau_mem=tau_mem,
-        r=tau_mem / STEP,
-        w_in=tau_syn / STEP,
-        v_leak=np.zeros(len(mem)),
-        v_threshold=np.full(len(mem), THRESHOLD),
-        metadata=metadata,
-    )
 
 
 def _about(config: NetworkConfig) -> dict:

@@ -12,8 +12,7 @@ On the chip it arrives as a bias, rounded toward zero to steps of 16 state units
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +23,6 @@ from ..loihi.chip import partition
 from ..loihi.layers import LoihiLayer
 from ..loihi.neurons import (
     BIAS_MANT_MAX,
-    DECAY_ONE,
     STATE_ONE,
     VTH_EXP,
     VTH_MAX,
@@ -38,31 +36,12 @@ from ..loihi.neurons import (
     wrap,
 )
 from .encoder import INPUT_ONE, MISSING, Scaling, encode_sample, encoder_fields, input_scaling
-from .weights_file import READINGS, NetworkConfig, Tensors, exponents
+from .layer_parameters import DECAY, EXPONENTS, PARAMETERS, THRESHOLDS, Weights, complete, of_layer
+from .weights_file import READINGS, NetworkConfig, Tensors
 
 Array = NDArray[np.float64]
-Values = TypeVar("Values")
-THRESHOLD = 0.5
 BIAS_EXP = 4
 """Exponent of the bias by which the host drives the encoding layer: steps of 2^4 state units."""
-
-
-class Weights(NamedTuple, Generic[Values]):
-    """Parameters of the network, arrays or tensors, in units of 1.0."""
-
-    w_in: Values  #: encoding weights, shape (h0, inputs)
-    w_ff: Values  #: encoding to hidden layer, shape (h1, h0)
-    w_rec: Values  #: recurrent weights, shape (h1, h1)
-    w_out: Values  #: hidden layer to outputs, shape (outputs, h1)
-    syn0: Values  #: τ_syn of the encoding layer, shape (h0,)
-    mem0: Values  #: τ_mem of the encoding layer, shape (h0,)
-    syn1: Values  #: τ_syn of the hidden layer, shape (h1,)
-    mem1: Values  #: τ_mem of the hidden layer, shape (h1,)
-    syn2: Values  #: τ_syn of the outputs, shape (1,)
-    mem2: Values  #: τ_mem of the outputs, shape (1,)
-
-
-MATRICES, TIME_CONSTANTS = Weights._fields[:4], Weights._fields[4:]
 
 
 class PackedWeights(NamedTuple):
@@ -76,12 +55,12 @@ class PackedWeights(NamedTuple):
 
 def real_weights(config: NetworkConfig, tensors: Tensors) -> Weights[Array]:
     """Weights and time constants of a spiking network in units of 1.0."""
-    values = {name: tensors[name].astype(np.float64) for name in Weights._fields}
+    values = {name: value.astype(np.float64) for name, value in tensors.items()}
     if config.quantised:
-        for name in MATRICES:
-            values[name] *= np.exp2(exponents(tensors, name).astype(np.float64) - 8)[:, None]
-        values |= {name: 1 - values[name] / DECAY_ONE for name in TIME_CONSTANTS}
-    return Weights(**values)
+        values = {name: PARAMETERS[name].kind.real(whole) for name, whole in complete(values).items()}
+        for name, exponents in EXPONENTS.items():
+            values[name] *= np.exp2(values[exponents])[:, None]
+    return Weights(**{name: values[name] for name in Weights._fields})
 
 
 def packed(w: Weights[Any], quantised: bool, recurrent_delay: int = 1) -> PackedWeights:
@@ -89,29 +68,20 @@ def packed(w: Weights[Any], quantised: bool, recurrent_delay: int = 1) -> Packed
     (h1, h0), outputs = w.w_ff.shape, len(w.w_out)
     weights = np.zeros((recurrent_delay, h0 + h1, h1 + outputs), w.w_ff.dtype)
     weights[0, :h0, :h1], weights[0, h0:, h1:], weights[-1, h0:, :h1] = w.w_ff.T, w.w_out.T, w.w_rec.T
-    syn2, mem2 = (np.repeat(tau, outputs) for tau in (w.syn2, w.mem2))
-    taus = [np.concatenate([w.syn0, w.syn1, syn2]), np.concatenate([w.mem0, w.mem1, mem2])]
-    threshold = np.repeat([THRESHOLD, np.inf], (h0 + h1, outputs))
-    if quantised:  # the chip has no higher threshold; an output that gets there all the same is reset
-        threshold = np.minimum(threshold * STATE_ONE, VTH_MAX << VTH_EXP)
-        rows = [*map(_decays, taus), threshold, 0 * threshold]
-        encoders = np.vstack([w.w_in.T * (STATE_ONE >> VTH_EXP), _decays(w.syn0)])
-        return PackedWeights(_whole(encoders), _whole(rows), np.rint(weights * STATE_ONE).astype(np.int16))
-    rows = [*taus, threshold, np.zeros(threshold.size)]
+    table, start = np.zeros((4, h0 + h1 + outputs)), 0
+    for layer, size in {"encoding": h0, "hidden": h1, "outputs": outputs}.items():
+        constants = {"vth": THRESHOLDS[layer]} | of_layer(w._asdict(), layer)
+        for row, role in enumerate(("du", "dv", "vth")):
+            table[row, start : start + size] = constants[role]
+        start += size
     encoders = np.vstack([w.w_in.T.astype(np.float64) / INPUT_ONE, w.syn0])
-    return PackedWeights(_table(encoders), _table(rows), weights)
-
-
-def _table(rows: Iterable[NDArray[np.floating]]) -> Array:
-    return np.array([*rows], np.float64)
-
-
-def _whole(rows: Iterable[NDArray[np.floating]]) -> NDArray[np.int32]:
-    return np.ascontiguousarray(np.rint(_table(rows)), np.int32)
-
-
-def _decays(tau: NDArray[np.floating]) -> Array:
-    return DECAY_ONE * (1.0 - tau.astype(np.float64))
+    if quantised:  # the chip has no higher threshold; an output that gets there all the same is reset
+        table[:2] = DECAY.whole(table[:2])
+        table[2] = np.minimum(table[2] * STATE_ONE, VTH_MAX << VTH_EXP)
+        encoders = np.vstack([w.w_in.T * (STATE_ONE >> VTH_EXP), table[0, :h0]])
+        weights = np.rint(weights * STATE_ONE).astype(np.int16)
+        return PackedWeights(np.rint(encoders).astype(np.int32), np.rint(table).astype(np.int32), weights)
+    return PackedWeights(encoders, table, weights)
 
 
 class Spiking:
@@ -243,14 +213,6 @@ class OnLoihi(Spiking):
 def chip_layers(config: NetworkConfig, tensors: Tensors) -> list[LoihiLayer]:
     """The populations of a quantised network: encoding, hidden, outputs."""
     w = {name: value.astype(np.int64) for name, value in tensors.items()}
-    hidden = LoihiLayer(
-        w_in=w["w_ff"],
-        w_rec=w["w_rec"],
-        du=w["syn1"],
-        dv=w["mem1"],
-        exp_in=exponents(w, "w_ff"),
-        exp_rec=exponents(w, "w_rec"),
-    )
-    outputs = LoihiLayer(w_in=w["w_out"], du=w["syn2"], dv=w["mem2"], vth=VTH_MAX)
-    encoding = LoihiLayer(w_in=np.zeros((config.encoding, 0), np.int64), dv=w["mem0"])
-    return [encoding, hidden, outputs]
+    encoding, hidden, outputs = (of_layer(w, layer) for layer in ("encoding", "hidden", "outputs"))
+    encoding["w_in"] = np.zeros((config.encoding, 0), np.int64)  # its inputs stay on the host
+    return [LoihiLayer(**encoding), LoihiLayer(**hidden), LoihiLayer(**outputs, vth=VTH_MAX)]

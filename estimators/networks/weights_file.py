@@ -18,7 +18,7 @@ from quadsim.config.toml import Strict, describe
 from quadsim.runs.files import write_whole
 from quadsim.runs.fingerprint import ASSETS
 
-from ..loihi.layers import WEIGHT_EXP_MIN
+from .layer_parameters import EXPONENTS, MATRICES, PARAMETERS, Weights
 
 Tensors = dict[str, NDArray[Any]]
 END = ".safetensors"
@@ -35,23 +35,6 @@ READINGS, SET_POINTS = 6, 3
 """Inputs of every network, gyroscope first; what a controller has besides: roll, pitch, yaw rate."""
 CONTROLLER = "control-"
 """What the names of controllers that ship begin with."""
-AXES: dict[str, tuple[str, ...]] = {
-    "w_in": ("encoding", "inputs"),
-    "w_ff": ("hidden", "encoding"),
-    "w_rec": ("hidden", "hidden"),
-    "w_out": ("outputs", "hidden"),
-    "syn0": ("encoding",),
-    "mem0": ("encoding",),
-    "syn1": ("hidden",),
-    "mem1": ("hidden",),
-    "syn2": ("one",),
-    "mem2": ("one",),
-}
-"""Tensors of Att-SNN, and what their rows and columns are. Weights begin with w_, time constants are those of
-currents (syn) and membranes (mem)."""
-EXPONENTS = {"w_ff": "exp_ff", "w_rec": "exp_rec"}
-"""Exponents of the weights into each hidden neuron, int16 (h1,), by the name of the weights. A quantised
-network without them has exponents of 0."""
 DTYPES = {"I16": "int16", "F16": "float16", "F32": "float32", "F64": "float64"}
 """NumPy's names of a file's types of numbers."""
 CIRCUIT = "circuit-1"
@@ -146,7 +129,7 @@ def expected_shapes(config: NetworkConfig) -> dict[str, tuple[int, ...]]:
     h0, h1, out = config.encoding, config.hidden, config.n_outputs
     if config.model == "att-snn":
         sizes = {"inputs": config.n_inputs, "encoding": h0, "hidden": h1, "outputs": out, "one": 1}
-        return {name: tuple(sizes[axis] for axis in axes) for name, axes in AXES.items()}
+        return {name: tuple(sizes[axis] for axis in PARAMETERS[name].axes) for name in Weights._fields}
     shapes: dict[str, tuple[int, ...]] = {"out.weight": (out, h1), "out.bias": (out,)}
     for layer, (inputs, units) in enumerate(((6, h0), (h0, h1))):
         shapes |= {f"gru.weight_ih_l{layer}": (3 * units, inputs), f"gru.bias_ih_l{layer}": (3 * units,)}
@@ -154,16 +137,10 @@ def expected_shapes(config: NetworkConfig) -> dict[str, tuple[int, ...]]:
     return shapes
 
 
-def exponents(tensors: Mapping[str, NDArray[Any]], name: str) -> NDArray[np.int16]:
-    """Exponents of the rows of a quantised network's weights `name`, shape (rows,)."""
-    found = tensors.get(EXPONENTS.get(name, ""))
-    return np.zeros(len(tensors[name]), np.int16) if found is None else found
-
-
 def parameters(tensors: Mapping[str, NDArray[Any]]) -> int:
     """Numbers that a network is made of: connections (weights other than 0), time constants and biases."""
     return sum(
-        int(np.count_nonzero(value)) if name.startswith("w_") else value.size
+        int(np.count_nonzero(value)) if name in MATRICES else value.size
         for name, value in tensors.items()
         if name not in EXPONENTS.values()
     )
@@ -176,8 +153,7 @@ def save_network(path: str | Path, config: NetworkConfig, tensors: Mapping[str, 
         path: File to write.
         config: How to run it.
         tensors: Its weights. Spiking: float time constants and weights where `quantised` is false; otherwise
-            int16, weights as mantissas of 2^(exponent - 8), exponents as `EXPONENTS` says, and `syn`, `mem`
-            as the chip's decays, 4096 (1 - τ).
+            int16, the whole numbers that `layer_parameters` describes.
 
     Raises:
         ValueError: Tensors that do not fit the configuration.
@@ -285,16 +261,15 @@ def _check_declared(
 ) -> None:
     """Compare shapes and types of tensors with those of the network, without their numbers."""
     wanted, whole = expected_shapes(config), config.whole
-    fine = [exponent for name, exponent in EXPONENTS.items() if whole and name in wanted]
-    wanted |= {name: (config.hidden,) for name in fine if name in declared}
-    if missing := sorted(set(wanted) - set(declared)):
+    wanted |= {name: (config.hidden,) for name in EXPONENTS.values() if whole}
+    lacking = set(wanted) - set(declared)
+    if missing := sorted(name for name in lacking if name not in PARAMETERS or not PARAMETERS[name].optional):
         raise ValueError(f"{path}: tensor {missing[0]} is missing")
     if extra := sorted(set(declared) - set(wanted)):
         raise ValueError(f"{path}: unknown tensor {extra[0]}, {config.model} has {', '.join(wanted)}")
-    for name, expected in wanted.items():
-        shape, dtype = declared[name]
-        if shape != expected:
-            raise ValueError(f"{path}: tensor {name} has shape {shape}, should be {expected}")
+    for name, (shape, dtype) in declared.items():
+        if shape != wanted[name]:
+            raise ValueError(f"{path}: tensor {name} has shape {shape}, should be {wanted[name]}")
         if dtype not in (["int16"] if whole else ["float16", "float32", "float64"]):
             raise ValueError(f"{path}: tensor {name} is {dtype}, should be {'int16' if whole else 'float'}")
 
@@ -305,11 +280,9 @@ def _check_values(path: str | Path, config: NetworkConfig, tensors: Mapping[str,
             raise ValueError(f"{path}: tensor {name} has values that are not finite")
         if not config.whole:
             continue
-        low, high = (-256, 254) if name.startswith("w_") else (1, 4096)
-        if name in EXPONENTS.values():
-            low, high = WEIGHT_EXP_MIN, 0
+        low, high = PARAMETERS[name].kind.low, PARAMETERS[name].kind.high
         if value.min() < low or value.max() > high:
             span = f"{value.min()}...{value.max()}"
             raise ValueError(f"{path}: tensor {name} spans {span}, allowed {low}...{high}")
-        if name.startswith("w_") and np.any(value % 2):
+        if name in MATRICES and np.any(value % 2):
             raise ValueError(f"{path}: tensor {name} has odd mantissas, only even ones exist")

@@ -13,8 +13,9 @@ from safetensors.numpy import save_file
 from estimators import create
 from estimators.loihi import LoihiLayer, LoihiNetwork
 from estimators.networks.encoder import scaled_inputs
-from estimators.networks.forward import OnLoihi, Weights, real_weights
+from estimators.networks.forward import OnLoihi, real_weights
 from estimators.networks.gru import Recurrent, tanh
+from estimators.networks.layer_parameters import EXPONENTS, Weights
 from estimators.networks.network import (
     BatchedNetwork,
     NetworkEstimator,
@@ -22,7 +23,6 @@ from estimators.networks.network import (
     silenced,
 )
 from estimators.networks.weights_file import (
-    EXPONENTS,
     NetworkConfig,
     expected_shapes,
     load_network,

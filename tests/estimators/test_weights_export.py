@@ -12,8 +12,9 @@ from plain_network import forward
 from estimators.control.controller import SpikingController
 from estimators.export.formats import export_weights
 from estimators.networks.encoder import scaled_inputs
-from estimators.networks.forward import OnLoihi, Weights, real_weights
+from estimators.networks.forward import OnLoihi, real_weights
 from estimators.networks.gru import Recurrent
+from estimators.networks.layer_parameters import Weights
 from estimators.networks.network import NetworkEstimator
 from estimators.networks.weights_file import (
     NetworkConfig,

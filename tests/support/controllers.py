@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from estimators.networks.weights_file import EXPONENTS, NetworkConfig, SetPointScaling, expected_shapes
+from estimators.networks.layer_parameters import EXPONENTS
+from estimators.networks.weights_file import NetworkConfig, SetPointScaling, expected_shapes
 from quadsim.vehicle import GRAVITY
 
 CONFIG = NetworkConfig(

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from estimators.networks.forward import MATRICES, THRESHOLD, Weights
+from estimators.networks.layer_parameters import MATRICES, THRESHOLD, Weights
 from estimators.spiking import superspike
 
 STATE_ONE, V_MAX, OUTPUT_THRESHOLD = 2.0**14, 2.0**23 - 1, (2.0**17 - 1) * 64

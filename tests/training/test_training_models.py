@@ -3,7 +3,8 @@ import pytest
 import torch
 from controllers import random_snn
 
-from estimators.networks.forward import MATRICES, TIME_CONSTANTS, real_weights
+from estimators.networks.forward import real_weights
+from estimators.networks.layer_parameters import MATRICES, NEURON_CONSTANTS
 from estimators.networks.weights_file import NetworkConfig
 from training.config import make_config
 from training.init import initialise_random
@@ -52,8 +53,8 @@ def test_limits_of_the_chip_leave_weights_that_fit_it_as_they_are(logits):
     tensors = random_snn(network, 1)
     model = model_of(network.encoding, network.hidden, logits, finest_exponent=-6)
     values = real_weights(network, tensors)._asdict()
-    for name in TIME_CONSTANTS:
-        model.set_taus(name, values[name])
+    for name in NEURON_CONSTANTS:
+        model.set_constants(name, values[name])
     for name in MATRICES:
         model.set_weights(name, values[name])
     before = model.weights()

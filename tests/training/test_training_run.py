@@ -11,8 +11,9 @@ import torch
 from plain_network import Plain
 
 from estimators.networks.forward import OnLoihi
+from estimators.networks.layer_parameters import EXPONENTS
 from estimators.networks.network import NetworkEstimator, create_network
-from estimators.networks.weights_file import EXPONENTS, load_network
+from estimators.networks.weights_file import load_network
 from quadsim.dataset.generation import generate
 from quadsim.flight.recipe import load_recipe
 from quadsim.runs.fingerprint import code_digest

@@ -1,0 +1,119 @@
+"""What Att-SNN has for each synapse and neuron: one table, which files, chip, training and exports read.
+
+A new parameter is a row of `PARAMETERS` and, if the kernels read it in units of 1.0, a field of `Weights`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Generic, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..loihi.layers import WEIGHT_EXP_MIN, WEIGHT_MAX, WEIGHT_MIN
+from ..loihi.neurons import DECAY_ONE
+
+Values = TypeVar("Values")
+
+
+class Kind(NamedTuple):
+    """Whole numbers on the chip and in its files; in units of 1.0 they are zero + slope times the number."""
+
+    low: int  #: smallest number
+    high: int  #: largest number
+    slope: float
+    zero: float
+    in_c: Callable[[Any], Any]
+    """What the C code reads in place of a number."""
+
+    @property
+    def step(self) -> float:
+        """Distance of two values in units of 1.0."""
+        return abs(self.slope)
+
+    def real(self, whole: Any) -> Any:
+        """Values in units of 1.0 of numbers, arrays or tensors."""
+        return self.zero + self.slope * whole
+
+    def whole(self, real: Any) -> Any:
+        """Numbers, not rounded, of values in units of 1.0."""
+        return (real - self.zero) / self.slope
+
+
+WEIGHT = Kind(WEIGHT_MIN, WEIGHT_MAX, 1 / 256, 0.0, lambda mantissa: mantissa // 2)
+"""Even mantissas; the value is times 2 to the power of the row's exponent."""
+DECAY = Kind(1, DECAY_ONE, -1 / DECAY_ONE, 1.0, lambda decay: (DECAY_ONE - decay) << 19)
+"""Decays; the value is the time constant τ."""
+EXPONENT = Kind(WEIGHT_EXP_MIN, 0, 1.0, 0.0, lambda exponent: 1 << (7 + exponent))
+
+
+class Parameter(NamedTuple):
+    """One tensor of the network."""
+
+    layer: str
+    """Layer of the neurons that have it: encoding, hidden or outputs."""
+    role: str
+    """The argument of `LoihiLayer` that it is."""
+    kind: Kind
+    axes: tuple[str, ...]
+    """What its rows and columns are; "one" is a single number for the layer."""
+    first: float = 0.0
+    """Value before training, of a file without it, and of every neuron in the paper's published code."""
+    optional: bool = False
+    """Whether a file may lack it."""
+
+
+PARAMETERS = {
+    "w_in": Parameter("encoding", "w_in", WEIGHT, ("encoding", "inputs")),
+    "w_ff": Parameter("hidden", "w_in", WEIGHT, ("hidden", "encoding")),
+    "w_rec": Parameter("hidden", "w_rec", WEIGHT, ("hidden", "hidden")),
+    "w_out": Parameter("outputs", "w_in", WEIGHT, ("outputs", "hidden")),
+    "syn0": Parameter("encoding", "du", DECAY, ("encoding",), 1 - 0.08),
+    "mem0": Parameter("encoding", "dv", DECAY, ("encoding",), 1 - 0.03),
+    "syn1": Parameter("hidden", "du", DECAY, ("hidden",), 1 - 0.08),
+    "mem1": Parameter("hidden", "dv", DECAY, ("hidden",), 1 - 0.03),
+    "syn2": Parameter("outputs", "du", DECAY, ("one",), 1 - 0.5),
+    "mem2": Parameter("outputs", "dv", DECAY, ("one",), 1 - 0.08),
+    "exp_ff": Parameter("hidden", "exp_in", EXPONENT, ("hidden",), optional=True),
+    "exp_rec": Parameter("hidden", "exp_rec", EXPONENT, ("hidden",), optional=True),
+}
+"""Tensors of Att-SNN by their names in a file; exponents only of a quantised network."""
+EXPONENTS = {"w_ff": "exp_ff", "w_rec": "exp_rec"}
+"""Exponents of the weights into each hidden neuron by the name of the weights."""
+THRESHOLD = 0.5
+THRESHOLDS = {"encoding": THRESHOLD, "hidden": THRESHOLD, "outputs": np.inf}
+"""Thresholds of the neurons of each layer; the outputs never spike."""
+
+
+class Weights(NamedTuple, Generic[Values]):
+    """Parameters of the network, arrays or tensors, in units of 1.0."""
+
+    w_in: Values  #: encoding weights, shape (h0, inputs)
+    w_ff: Values  #: encoding to hidden layer, shape (h1, h0)
+    w_rec: Values  #: recurrent weights, shape (h1, h1)
+    w_out: Values  #: hidden layer to outputs, shape (outputs, h1)
+    syn0: Values  #: τ_syn of the encoding layer, shape (h0,)
+    mem0: Values  #: τ_mem of the encoding layer, shape (h0,)
+    syn1: Values  #: τ_syn of the hidden layer, shape (h1,)
+    mem1: Values  #: τ_mem of the hidden layer, shape (h1,)
+    syn2: Values  #: τ_syn of the outputs, shape (1,)
+    mem2: Values  #: τ_mem of the outputs, shape (1,)
+
+
+MATRICES = tuple(name for name in Weights._fields if PARAMETERS[name].kind is WEIGHT)
+NEURON_CONSTANTS = tuple(name for name in Weights._fields if name not in MATRICES)
+
+
+def of_layer(values: Mapping[str, Values], layer: str) -> dict[str, Values]:
+    """Those of the values, which have the names of `PARAMETERS`, that belong to a layer, by role."""
+    mine = {name: each for name, each in PARAMETERS.items() if each.layer == layer}
+    return {each.role: values[name] for name, each in mine.items() if name in values}
+
+
+def complete(tensors: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """The tensors of a quantised network; those that its file lacks have their first values."""
+    sizes = {"encoding": len(tensors["w_in"]), "hidden": len(tensors["w_ff"])}
+    lacking = {name: each for name, each in PARAMETERS.items() if each.optional and name not in tensors}
+    found = {name: each.kind.whole(np.full(sizes[each.layer], each.first)) for name, each in lacking.items()}
+    return {**tensors, **{name: np.rint(values).astype(np.int16) for name, values in found.items()}}
