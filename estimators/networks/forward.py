@@ -55,9 +55,10 @@ class PackedWeights(NamedTuple):
 
 def real_weights(config: NetworkConfig, tensors: Tensors) -> Weights[Array]:
     """Weights and time constants of a spiking network in units of 1.0."""
+    tensors = complete(tensors, config.quantised)
     values = {name: value.astype(np.float64) for name, value in tensors.items()}
     if config.quantised:
-        values = {name: PARAMETERS[name].kind.real(whole) for name, whole in complete(values).items()}
+        values = {name: PARAMETERS[name].kind.real(whole) for name, whole in values.items()}
         for name, exponents in EXPONENTS.items():
             values[name] *= np.exp2(values[exponents])[:, None]
     return Weights(**{name: values[name] for name in Weights._fields})

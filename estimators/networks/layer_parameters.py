@@ -111,9 +111,11 @@ def of_layer(values: Mapping[str, Values], layer: str) -> dict[str, Values]:
     return {each.role: values[name] for name, each in mine.items() if name in values}
 
 
-def complete(tensors: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """The tensors of a quantised network; those that its file lacks have their first values."""
-    sizes = {"encoding": len(tensors["w_in"]), "hidden": len(tensors["w_ff"])}
-    lacking = {name: each for name, each in PARAMETERS.items() if each.optional and name not in tensors}
-    found = {name: each.kind.whole(np.full(sizes[each.layer], each.first)) for name, each in lacking.items()}
-    return {**tensors, **{name: np.rint(values).astype(np.int16) for name, values in found.items()}}
+def complete(tensors: Mapping[str, NDArray[Any]], whole: bool = True) -> dict[str, NDArray[Any]]:
+    """The tensors of a network, whole numbers or not; those that its file lacks have their first values."""
+    sizes, found = {"encoding": len(tensors["w_in"]), "hidden": len(tensors["w_ff"])}, dict(tensors)
+    for name, each in PARAMETERS.items():
+        if each.optional and name not in tensors:
+            first = round(each.kind.whole(each.first)) if whole else each.first
+            found[name] = np.full(sizes[each.layer], first, np.int16 if whole else np.float64)
+    return found
