@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..networks.forward import BIAS_EXP, OnLoihi
+from ..networks.forward import OnLoihi
 from ..networks.network import roll_pitch_of_outputs, zero_states
 
 Array = NDArray[np.float64]
@@ -57,17 +57,14 @@ def record(core: OnLoihi, gyro: Array, accel: Array, set_points: Array | None = 
     n, samples, _ = np.shape(gyro)
     more = np.zeros((n, samples, 0)) if set_points is None else set_points
     by_sample = [np.array(np.swapaxes(each, 0, 1), np.float64, order="C") for each in (gyro, accel, more)]
-    first, neurons = core.sizes[0], sum(core.sizes)
+    neurons = sum(core.sizes)
     spikes, active = np.zeros((n, samples, neurons), np.int8), np.zeros((n, neurons), np.int64)
     outputs, numbers = np.empty((samples, n, core.outputs)), zero_states(core, n)
     state = numbers.view(core.state)[:, 0]
     for k in range(samples):
         core.kernel(*(each[k] for each in by_sample), *core.arrays, numbers, outputs[k])
         spikes[:, k] = core.spikes(state)
-        used = state["v"] != 0
-        used[:, :first] |= np.abs(state["current"]) >= 1 << BIAS_EXP
-        used[:, first:] |= state["u"] != 0
-        active += used
+        active += core.active(state)
     answers = outputs.swapaxes(0, 1)
     estimate = roll_pitch_of_outputs(answers) if set_points is None else answers
     return Activity(core.sizes, spikes, active, estimate)

@@ -210,6 +210,13 @@ class OnLoihi(Spiking):
         self.layers = chip_layers(config, tensors)
         self.cores = partition(self.layers)
 
+    def active(self, states: NDArray[np.void]) -> NDArray[np.bool_]:
+        """Which neurons had a current, a potential or a bias in the last step: (n, neurons)."""
+        used, first = states["v"] != 0, self.sizes[0]
+        used[:, :first] |= np.abs(states["current"]) >= 1 << BIAS_EXP
+        used[:, first:] |= states["u"] != 0
+        return used
+
 
 def chip_layers(config: NetworkConfig, tensors: Tensors) -> list[LoihiLayer]:
     """The populations of a quantised network: encoding, hidden, outputs."""
