@@ -51,7 +51,7 @@ WORDS = {
     },
 }
 """What the templates call the outputs."""
-SECTION = re.compile(r"#if (ESTIMATES|CONTROLS)\n(.*?)#endif\n", re.DOTALL)
+SECTION = re.compile(r"#if (\w+)\n(.*?)#endif\n", re.DOTALL)
 """Parts of the templates that not every network has."""
 BLOCK, BIASED = 16, 128
 """Hidden neurons that the C code sums up together, and what is added to their weights."""
