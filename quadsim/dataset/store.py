@@ -68,6 +68,8 @@ VARIABLES = {
     "gyro_bias": Variable("axis", "rad/s", "true bias of the gyroscope, sensor axes"),
     "accel_bias": Variable("axis", "m/s^2", "true bias of the accelerometer, sensor axes"),
 }
+MEASURED = VARIABLES | {"mag": Variable("axis", "T", "magnetic field in body axes")}
+"""Variables that the dataset of a log may have."""
 LABELS = {"axis": ["x", "y", "z"], "quat_axis": ["w", "x", "y", "z"], "rotor": [*map(str, range(MIN_ROTORS))]}
 """Labels of the last dimensions; simulated flights have as many rotors as their vehicle."""
 

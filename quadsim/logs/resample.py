@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import firwin, oaconvolve
 from scipy.spatial.transform import Rotation, Slerp
 
-from ..dataset.store import LABELS, VARIABLES, Variable
+from ..dataset.store import LABELS, MEASURED
 from ..rotation import quat_rotate, wxyz_from_xyzw, xyzw_from_wxyz
 from .cleaning import EXACT_S, LONGEST_GAP_S, forward, gaps_of, longest_part, stuck_samples
 from .log_faults import fast_part, find_faults
@@ -28,8 +28,6 @@ SENSOR_GAP_S = 0.25
 """Readings of other sensors further apart than this are not interpolated: ESCs may report at 10 Hz."""
 TRUTH_GAP_S = 0.1
 """Attitudes further apart than this are not interpolated."""
-MEASURED = VARIABLES | {"mag": Variable("axis", "T", "magnetic field in body axes")}
-"""Variables of a log's dataset."""
 
 
 def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogReport]:
