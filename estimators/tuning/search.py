@@ -89,7 +89,8 @@ def _made(name: str, rate_hz: float, values: Mapping[str, float]) -> AttitudeEst
 
 def _error_of(est: AttitudeEstimator, is_of_user: bool, flights: Flights) -> float:
     """Cost of one estimator; a compiled one runs without the interpreter's lock."""
-    estimate = run_quietly(est, Readings(flights.gyro, flights.accel), flights.start)
+    readings = flights.readings if is_of_user else Readings(flights.gyro, flights.accel)
+    estimate = run_quietly(est, readings, flights.start)
     if is_of_user and flaw_of(estimate, flights.truth):
         return math.inf
     scored = np.isfinite(flights.truth).all(axis=-1).sum(axis=1) * 2
