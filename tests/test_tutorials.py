@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from quadsim.cli import main
+from quadsim.config.toml import preset_names
 
 ROOT = Path(__file__).parents[1]
 TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
@@ -79,6 +80,12 @@ def run_alone(command):
     env = os.environ | {"PATH": f"{scripts}{os.pathsep}{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
     done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, f"{command[-1]}\n{done.stdout[-1500:]}\n{done.stderr[-1500:]}"
+
+
+def test_the_table_of_recipes_has_those_that_ship():
+    text = (ROOT / "docs" / "tutorials" / "data.md").read_text("utf-8")
+    table = text.split("| recipe | use |\n")[1].split("\n\n")[0]
+    assert sorted(re.findall(r"`(\S+?)`(?=,| \|)", table)) == preset_names("recipes")
 
 
 @pytest.mark.slow

@@ -13,7 +13,9 @@ def generate(
     out: Annotated[Path, typer.Option(help="Folder of the new dataset, for example data/train.zarr.")],
     flights: Annotated[int, typer.Option(min=1, help="Number of flights.")] = 35,
     duration: Annotated[float, typer.Option(min=0.1, help="Length of each flight in seconds.")] = 100.0,
-    recipe: Annotated[str, typer.Option(help="A shipped recipe or a TOML file.")] = "hummingbird",
+    recipe: Annotated[
+        str, typer.Option(help="A shipped recipe (see quadsim list recipes) or a TOML file.")
+    ] = "hummingbird",
     set_: Annotated[
         list[str] | None,
         typer.Option(

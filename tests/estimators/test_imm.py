@@ -17,6 +17,7 @@ from estimators.metrics import absolute_error, inclination_error
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
 from quadsim.flight.recipe import load_recipe
+from quadsim.flight.scenario import changed
 from quadsim.imu.spec import RotorVibration
 from quadsim.logs.recording import Recording, Track
 from quadsim.logs.resample import resample
@@ -34,6 +35,19 @@ from quadsim.vehicle import GRAVITY
 
 RATE = 200.0
 BIAS = np.radians([4.1, -1.2, -1.6])
+VARIED = changed(
+    load_recipe("hummingbird"),
+    {
+        "trajectory": {
+            "kind": "mix", "min_tilt_deg": 5.0, "max_tilt_deg": 40.0, "circle_s": (3.0, 9.0),
+            "circle_share": 0.3, "jump_share": 0.3, "pause_share": 0.1, "radius": 30.0,
+        },
+        "randomisation": {
+            "mass": 0.05, "inertia": 0.05, "thrust": 0.05, "rotor_drag": 0.1, "frame_drag": 0.2
+        },
+    },
+)  # fmt: skip
+"""Dashes, jumps and wide slow circles in still air on vehicles that vary."""
 
 
 def imm(**params):
@@ -64,7 +78,7 @@ def generated(folder, config, count, seconds, seed):
 def flights(tmp_path_factory):
     """Ten aggressive flights of a Hummingbird: gyroscope, accelerometer, and the attitude that is true."""
     folder = tmp_path_factory.mktemp("imm")
-    found = load_flights([generated(folder, load_recipe("varied"), 10, 30.0, seed=71)])
+    found = load_flights([generated(folder, VARIED, 10, 30.0, seed=71)])
     return found.gyro, found.accel, found.truth
 
 
@@ -77,9 +91,8 @@ def flight(flights):
 @pytest.fixture(scope="module")
 def shaken_data(tmp_path_factory):
     """A dataset of four flights with strong rotor vibration."""
-    config = load_recipe("varied")
     vibration = RotorVibration(rotor_vel=453.0, gyro=(0.05, 0.05, 0.02), accel=(2.0, 2.0, 5.0))
-    config = config.model_copy(update={"imu": config.imu.model_copy(update={"vibration": vibration})})
+    config = VARIED.model_copy(update={"imu": VARIED.imu.model_copy(update={"vibration": vibration})})
     return generated(tmp_path_factory.mktemp("shaken"), config, 4, 30.0, seed=72)
 
 

@@ -9,6 +9,7 @@ from quadsim.dataset.export import export
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
 from quadsim.flight.recipe import load_recipe
+from quadsim.flight.scenario import changed
 from quadsim.identify import flights_of, identify
 from quadsim.identify.model import UNITS, constant, lagged, predicted, with_constants
 from quadsim.vehicle import load_vehicle
@@ -59,8 +60,9 @@ def test_commanded_speeds_lag_as_in_the_simulator(flights):
 
 
 def test_what_hover_does_not_tell_keeps_its_value_and_is_named(tmp_path):
-    config = load_recipe("calm")
-    path = generate(config, 1, 12.0, tmp_path / "calm.zarr", seed=1, workers=1)
+    breeze = {"kind": "dryden", "airspeed": 2.0, "altitude": 20.0, "wind_20ft": 1.5}
+    config = changed(load_recipe("hummingbird"), {"trajectory": {"kind": "hover"}, "wind": [breeze]})
+    path = generate(config, 1, 12.0, tmp_path / "hover.zarr", seed=1, workers=1)
     start = with_constants(config.vehicle, {"frame.drag_area.2": 0.5})
     found = identify(flights_of(open_dataset(path)), start)
     assert constant(found.vehicle, "frame.drag_area.2") == 0.5
