@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from quadsim.config.toml import preset_names
+from quadsim.flight.hand_held import HandHeld
 from quadsim.flight.recipe import load_recipe
 from quadsim.flight.scenario import changed
 from quadsim.flight.simulate import simulate_flights
@@ -21,15 +22,10 @@ def simulate(recipe, n, duration_s, **changes):
 
 
 WIDE = ["wide", "cruise"]
-CARRIED = {
-    "rate_deg_s": (3.0, 30.0),
-    "acceleration": (0.1, 6.0),
-    "move_s": (3.0, 20.0),
-    "rest_s": (1.0, 15.0),
-}
-TUMBLING = {
-    "rate_deg_s": (120.0, 350.0), "acceleration": (0.5, 12.0), "move_s": (3.0, 20.0), "rest_s": (0.5, 10.0)
-}  # fmt: skip
+CARRIED = HandHeld(rate_deg_s=(3.0, 30.0), acceleration=(0.1, 6.0), move_s=(3.0, 20.0), rest_s=(1.0, 15.0))
+TUMBLING = HandHeld(
+    rate_deg_s=(120.0, 350.0), acceleration=(0.5, 12.0), move_s=(3.0, 20.0), rest_s=(0.5, 10.0)
+)
 GATES = """
 [trajectory]
 kind = "waypoints"

@@ -6,7 +6,7 @@ import numpy as np
 
 from quadsim.logs.recording import Recording
 from quadsim.logs.resample import resample
-from quadsim.rotation import quat_from_euler, quat_rotate_inverse
+from quadsim.rotation import quat_from_euler, quat_rotate, quat_rotate_inverse
 
 GRAVITY = np.array([0.0, 0.0, 9.81])
 RATE = 200.0
@@ -64,3 +64,12 @@ quat = {{columns = ["a", "b", "c", "d"]}}
 def report_of(log: Recording):
     """What is found in a recording."""
     return resample(log)[1]
+
+
+def consistent(log) -> None:
+    """The gyro turns the attitude, and the attitude turns the specific force upright: all frames are ours."""
+    gyro, accel, quat = (log[name].to_numpy()[0] for name in ("gyro", "accel", "quat"))
+    np.testing.assert_allclose(quat_rotate(quat, accel), np.broadcast_to(GRAVITY, accel.shape), atol=2e-3)
+    up = quat_rotate_inverse(quat, GRAVITY / 9.81)
+    turn = np.gradient(up, 1 / log.attrs["rate_hz"], axis=0)
+    np.testing.assert_allclose(turn[2:-2], np.cross(up, gyro)[2:-2], atol=5e-3)
