@@ -59,9 +59,6 @@ def test_a_noisy_truth_at_rest_is_not_judged():
     assert report_of(gentle(0.025, scale=0.0)).faults == []
 
 
-# --- what cannot be right ---
-
-
 def wrong(name: str) -> Recording:
     """A sensor that turns, and one thing wrong with the log of it."""
     log, upside = turned(), np.array([1.0, -1.0, -1.0])

@@ -1,6 +1,5 @@
 import csv
 import json
-from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
 from importlib.resources import files
 from io import StringIO
 from pathlib import Path
@@ -8,136 +7,20 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from flown import crash, table
-from processes import square
 from rich.console import Console
+from small_bench import SHORT, small
 
 import estimators
 from quadsim.flight.mission import Mission
 from quadsim.flight.scenario import Scenario, Start, load_scenario
-from quadsim.runs.pool import run_all
 from quadsim.vehicle import load_vehicle
-from scenarios.bench import cell as cell_module
 from scenarios.bench import runner
 from scenarios.bench.cell import FlightSettings, fly_cell
-from scenarios.bench.flight_log import fly, log_dtype
-from scenarios.bench.flight_metrics import (
-    convergence_time,
-    error_histogram,
-    flight_metrics,
-    recovery_time,
-)
-from scenarios.bench.results import hours, load_results, summarise, wilson
-from scenarios.bench.runner import bench
-from scenarios.bench.verdict import choice, verdict
+from scenarios.bench.flight_log import fly
+from scenarios.bench.results import hours, load_results
+from scenarios.bench.verdict import verdict
 from scenarios.report.terminal import standings_table
 from scenarios.single_flight import fly_scenario
-
-SHORT = 0.3
-HUMMINGBIRD = load_vehicle("hummingbird")
-
-
-def small(out, scenarios=("hover", "wind-gust"), names=("truth", "mahony"), **options):
-    """A benchmark; options are of `bench`, of its settings, or fields of every scenario."""
-    run = {"workers": 1} | {key: options.pop(key) for key in ("workers", "executor") if key in options}
-    of_flights = {key: options.pop(key) for key in ("seeds", "seed", "tuning") if key in options}
-    return bench(
-        scenarios,
-        names,
-        out,
-        FlightSettings(**{"seeds": 2} | of_flights),
-        {"duration_s": SHORT} | options,
-        **run,
-    )
-
-
-# --- metrics --------------------------------------------------------------------------------------
-
-
-def steady_log(n=2, steps=400):
-    """A log of level flight on the set-point with a perfect estimate."""
-    log = np.zeros((n, steps), log_dtype(4))
-    log["rotor_vel"] = HUMMINGBIRD.hover_rotor_vel
-    return log, np.full(n, steps)
-
-
-def metrics_of(log, end):
-    return flight_metrics(log, end, 200.0, HUMMINGBIRD)
-
-
-def test_a_perfect_hover_has_no_error_and_the_power_that_carries_the_weight():
-    metrics = metrics_of(*steady_log())
-    power = HUMMINGBIRD.mass * 9.81 * HUMMINGBIRD.motor.k_m * HUMMINGBIRD.hover_rotor_vel
-    np.testing.assert_allclose(metrics.pop("power_w"), power)
-    np.testing.assert_array_equal(list(metrics.values()), 0.0)
-
-
-def test_every_metric_is_of_its_own_signal():
-    log, end = steady_log()
-    log["tracking"][:, ::2] = np.radians(10.0)
-    log["tilt"][:, 7] = np.radians(40.0)
-    log["command_change"] = np.resize([3.0, 4.0], 400)
-    log["estimate"][:, ::2] = np.radians([3.0, 0.0])
-    log["position"] = [0.3, 0.0, 0.4]
-    wanted = {
-        "attitude_deg": 10.0 / np.sqrt(2.0),
-        "worst_tilt_deg": 40.0,
-        "jitter": np.sqrt((3.0**2 + 4.0**2) / 2.0),
-        "inclination_deg": 3.0 / np.sqrt(2.0),
-        "error_deg": 0.75,
-        "position_m": 0.5,
-    }
-    metrics = metrics_of(log, end)
-    np.testing.assert_allclose([metrics[key][0] for key in wanted], list(wanted.values()))
-
-
-def test_errors_are_counted_in_twenty_parts_of_each_decade_from_a_thousandth_of_a_degree():
-    log, end = steady_log(1, 10)
-    log["estimate"][0, :4] = np.radians([3.0, -1.2])
-    counts = error_histogram(log, end)
-    found = {int(part): int(counts[part]) for part in np.flatnonzero(counts)}
-    assert found == {0: 12, int(20 * np.log10(1.2e3)): 4, int(20 * np.log10(3e3)): 4}
-
-
-def test_nothing_after_a_crash_counts():
-    log, end = steady_log()
-    log[0, 100:] = np.nan
-    end[0] = 100
-    np.testing.assert_array_equal(metrics_of(log, end)["error_deg"], 0.0)
-    assert error_histogram(log, end).sum() == 2 * (100 + 400)
-
-
-def test_time_to_converge_is_the_start_of_the_first_second_below_the_limit():
-    error = np.full((3, 1000), 20.0)
-    error[0, 300:] = 1.0
-    error[1, 100:250] = 1.0  # three quarters of a second are not enough
-    error[1, 600:] = 1.0
-    np.testing.assert_array_equal(convergence_time(error, 200.0), [1.5, 3.0, np.nan])
-
-
-def test_recovery_is_the_longest_spell_away_that_ended():
-    apart = np.zeros((5, 1000))
-    apart[0, 100:150] = apart[0, 300:500] = 2.0
-    apart[1, 700:] = 2.0  # still away at the end
-    apart[2, 10:30] = 2.0  # back, but crashed later
-    apart[4, 100:120] = apart[4, 990:] = 2.0  # thrown off again at the very end
-    whole = np.array([True, True, False, True, True])
-    np.testing.assert_array_equal(recovery_time(apart, whole, 200.0), [1.0, np.nan, np.nan, 0.0, 0.1])
-
-
-def test_wilson_interval_of_textbook_values():
-    found = wilson(pd.Series([0, 5, 10, 0]), pd.Series([10, 10, 10, 0]))  # Brown, Cai, DasGupta 2001
-    np.testing.assert_allclose(found, [[0.0, 0.2366, 0.7225, 0.0], [0.2775, 0.7634, 1.0, 1.0]], atol=1e-4)
-
-
-def test_median_convergence_is_empty_when_most_never_converge_and_a_crash_counts_to_the_tilt():
-    flights = table(*((name, "x", k, crash(1.0) if k == 2 else 0.5) for name in "ab" for k in range(3)))
-    flights["converge_s"] = [1.0, 1.0, np.nan, 1.0, np.nan, np.nan]
-    flights["worst_tilt_deg"] = [10.0, 20.0, 80.0, 30.0, np.nan, np.nan]
-    found = summarise(flights)
-    np.testing.assert_array_equal(found["converge_s"], [1.0, np.nan])
-    np.testing.assert_array_equal(found["worst_tilt_deg"], [80.0, 30.0])
-
 
 # --- a flight -------------------------------------------------------------------------------------
 
@@ -237,48 +120,6 @@ def test_weights_fly_like_the_estimator_that_they_are_of(tmp_path):
     assert mine.estimator == str(ours)
     assert mine._replace(estimator="att-snn") == shipped
     assert runner.files_of(Scenario(description=""), f"{ours} @ {ours}") == [str(ours)] * 2
-
-
-def test_a_dying_worker_ends_no_other_job():
-    found = dict(run_all(square, {i: (i, 1) for i in range(4)}, workers=2))
-    assert isinstance(found.pop(1), BrokenExecutor)
-    assert found == {0: 0, 2: 4, 3: 9}
-
-
-def test_numbers_beyond_all_bounds_are_a_row_with_its_reason(tmp_path, monkeypatch):
-    monkeypatch.setattr(cell_module, "BOUNDLESS", 1.0)
-    (hover,) = small(tmp_path, scenarios=["hover"], names=["mahony"]).rows
-    assert "the flight diverged" in hover.reason
-
-
-@pytest.mark.parametrize("error", [ZeroDivisionError("no idea"), SystemExit("no idea")])
-def test_cell_that_fails_is_a_row_with_its_reason(tmp_path, monkeypatch, error):
-    def broken(mission, seed):
-        raise error
-
-    monkeypatch.setattr(cell_module, "fly", broken)
-    results = small(tmp_path)
-    reasons = [row.reason for row in results.rows]
-    assert reasons == [f"{type(error).__name__}: no idea"] * 4
-    assert load_results(tmp_path) == results
-    with (tmp_path / "results.csv").open() as file:
-        assert [row["reason"] for row in csv.DictReader(file)] == reasons
-    monkeypatch.undo()
-    assert not any(row.reason for row in small(tmp_path).rows)  # and it is tried again
-
-
-def test_dead_worker_is_a_row_with_its_reason(tmp_path):
-    class Deadly(ThreadPoolExecutor):
-        def submit(self, fn, *args):
-            if args[2] == "truth":
-                future = Future()
-                future.set_exception(MemoryError("killed"))
-                return future
-            return super().submit(fn, *args)
-
-    with Deadly(1) as executor:
-        rows = small(tmp_path, executor=executor).rows
-    assert [row.reason for row in rows] == ["MemoryError: killed", ""] * 2
 
 
 def test_the_standings_have_ranks_means_and_the_worst_scenario(tmp_path):
@@ -415,58 +256,3 @@ def test_a_changed_file_that_the_users_code_imports_is_flown_anew(tmp_path, monk
     Path("blown.toml").write_text("description = ''\n[[wind]]\nkind = 'file'\npath = 'wind.csv'\n")
     read = runner.files_of(load_scenario("blown.toml"), "truth @ control.py:make")
     assert [Path(path).name for path in read] == ["control.py", "helper.py", "wind.csv"]
-
-
-HOSTILE = '''
-import numpy as np
-
-class Never:
-    """The parent of estimators that must not win."""
-    def __init__(self, rate_hz):
-        self.rate_hz, self.calls = rate_hz, 0
-    def reset(self, n=1, roll_pitch=None):
-        self.n, self.calls = n, 0
-    def restart(self, ids, roll_pitch=None):
-        pass
-    def update(self, gyro, accel):
-        self.calls += 1
-        return np.full((self.n, 2), self.value if self.calls > 5 else 0.0)
-
-class NaN(Never): value = np.nan
-class Huge(Never): value = 1e20
-class Constant(Never): value = 0.0
-class Tilted(Never): value = 0.9
-class Peek(Never):
-    def reset(self, n=1, roll_pitch=None):
-        self.truth = np.zeros((n, 2))
-    def observe(self, quat):
-        w, x, y, z = quat.T
-        self.truth = np.stack([2 * (w * x + y * z), 2 * (w * y - x * z)], -1)
-    def update(self, gyro, accel):
-        return self.truth
-class Raises(Never):
-    def update(self, gyro, accel):
-        if self.calls > 5:
-            raise RuntimeError("no idea")
-        return super().update(gyro, accel)
-    value = 0.0
-'''
-
-
-def test_no_hostile_estimator_wins_a_flown_benchmark(tmp_path):
-    (tmp_path / "est.py").write_text(HOSTILE)
-    own = {
-        name: f"{tmp_path / 'est.py'}:{name}"
-        for name in ("NaN", "Huge", "Constant", "Tilted", "Peek", "Raises")
-    }
-    results = small(tmp_path / "out", scenarios=["hover"], names=["mahony", *own.values()], duration_s=3.0)
-    reasons = {name: results.rows[1 + k].reason for k, name in enumerate(own)}
-    assert "not a finite number" in reasons["NaN"]
-    assert "angles beyond ±100 rad" in reasons["Huge"]
-    assert reasons["Raises"] == "Raises: update ends with RuntimeError: no idea"
-    assert results.unranked == {
-        own["Peek"]: "received the true attitude",
-        own["Constant"]: "returned the same roll and pitch at every sample",
-    }
-    assert verdict(results).headline.startswith("In hover fly mahony")
-    assert {each.name for each in choice(results, ["hover"]).places} == {"mahony", own["Tilted"]}
