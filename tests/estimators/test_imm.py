@@ -2,25 +2,18 @@
 
 import numpy as np
 import pytest
+from imm_flights import RATE, VARIED, generated, imm, rmse
 from scipy.stats import multivariate_t
 
-from estimators import create, run, run_batch
+from estimators import create, run
 from estimators.evaluation.beliefs import beliefs
-from estimators.evaluation.comparison import evaluate
 from estimators.evaluation.flights import load_flights
-from estimators.evaluation.logs import score_logs
 from estimators.filters.drag.drag_aided import ACCEL_BIAS, ERRORS, GYRO_BIAS, LEVER, SHARED, transition
-from estimators.filters.drag.imm import RECORD, InteractingModels, accumulate
+from estimators.filters.drag.imm import RECORD, accumulate
 from estimators.filters.drag.imm_model import FREEDOM, MODELS, MULTIROTOR, STATE, adapt_bias, student
 from estimators.filters.samples import Sample
-from estimators.metrics import absolute_error, inclination_error
-from quadsim.dataset.generation import generate
-from quadsim.dataset.reading import open_dataset
+from estimators.metrics import inclination_error
 from quadsim.flight.recipe import load_recipe
-from quadsim.flight.scenario import changed
-from quadsim.imu.spec import RotorVibration
-from quadsim.logs.recording import Recording, Track
-from quadsim.logs.resample import resample
 from quadsim.rotation import (
     matrix_from_quat,
     quat_conjugate,
@@ -33,28 +26,7 @@ from quadsim.rotation import (
 from quadsim.runs.compiled import njit
 from quadsim.vehicle import GRAVITY
 
-RATE = 200.0
 BIAS = np.radians([4.1, -1.2, -1.6])
-VARIED = changed(
-    load_recipe("hummingbird"),
-    {
-        "trajectory": {
-            "kind": "mix", "min_tilt_deg": 5.0, "max_tilt_deg": 40.0, "circle_s": (3.0, 9.0),
-            "circle_share": 0.3, "jump_share": 0.3, "pause_share": 0.1, "radius": 30.0,
-        },
-        "randomisation": {
-            "mass": 0.05, "inertia": 0.05, "thrust": 0.05, "rotor_drag": 0.1, "frame_drag": 0.2
-        },
-    },
-)  # fmt: skip
-"""Dashes, jumps and wide slow circles in still air on vehicles that vary."""
-
-
-def imm(**params):
-    """The estimator at 200 Hz."""
-    est = create("imm", RATE, **params)
-    assert isinstance(est, InteractingModels)
-    return est
 
 
 def in_the_hand(seconds=20.0, speed=0.3):
@@ -69,11 +41,6 @@ def in_the_hand(seconds=20.0, speed=0.3):
     return rate[None], force[None], quat[None]
 
 
-def generated(folder, config, count, seconds, seed):
-    """A generated dataset."""
-    return open_dataset(generate(config, count, seconds, folder / "flights.zarr", seed=seed, workers=1))
-
-
 @pytest.fixture(scope="module")
 def flights(tmp_path_factory):
     """Ten aggressive flights of a Hummingbird: gyroscope, accelerometer, and the attitude that is true."""
@@ -86,25 +53,6 @@ def flights(tmp_path_factory):
 def flight(flights):
     """Two of them."""
     return tuple(each[:2] for each in flights)
-
-
-@pytest.fixture(scope="module")
-def shaken_data(tmp_path_factory):
-    """A dataset of four flights with strong rotor vibration."""
-    vibration = RotorVibration(rotor_vel=453.0, gyro=(0.05, 0.05, 0.02), accel=(2.0, 2.0, 5.0))
-    config = VARIED.model_copy(update={"imu": VARIED.imu.model_copy(update={"vibration": vibration})})
-    return generated(tmp_path_factory.mktemp("shaken"), config, 4, 30.0, seed=72)
-
-
-@pytest.fixture(scope="module")
-def shaken(shaken_data):
-    return load_flights([shaken_data])
-
-
-def rmse(est, gyro, accel, truth, after=10.0, **sensors):
-    """Inclination RMSE from an unknown start [deg]."""
-    error = inclination_error(run(est, gyro, accel, **sensors), truth)[:, round(after * RATE) :]
-    return float(np.sqrt(np.mean(error**2)))
 
 
 def believed(est, gyro, accel):
@@ -297,93 +245,6 @@ def test_a_thrust_that_is_not_along_body_z_is_no_tilt(flight):
     true = quat_multiply(quat_from_euler(truth[..., 0], truth[..., 1], 0.0), quat_conjugate(mount))
     error = inclination_error(out, roll_pitch_from_quat(true))[:, 2000:]
     assert np.sqrt(np.mean(error**2)) < 2.0
-
-
-# --- rotor speeds -----------------------------------------------------------------------------------
-
-
-def test_rotor_speeds_remove_the_harm_of_vibration(shaken):
-    """Vibration along body z biases the root of thrust; the rotors' speeds do not have it."""
-    rotors = shaken.readings.rotor_vel
-    without = rmse(imm(), shaken.gyro, shaken.accel, shaken.truth)
-    assert rmse(imm(), shaken.gyro, shaken.accel, shaken.truth, rotor_vel=rotors) < 0.95 * without
-
-
-def test_only_ratios_of_rotor_speeds_count(shaken):
-    """The thrust constant is not known, nor is the direction in which a rotor turns."""
-    given = [run(imm(), shaken.gyro, shaken.accel, rotor_vel=k * shaken.readings.rotor_vel) for k in (1, -4)]
-    np.testing.assert_array_equal(*given)
-
-
-@pytest.mark.parametrize("value", [0.0, 0.1, np.nan, np.inf, 1e6])
-def test_rotor_speeds_that_cannot_be_used_change_nothing(shaken, value):
-    """Missing, stopped, or no number: of one rotor or, of a speed that could be, of all."""
-    rotors = shaken.readings.rotor_vel.copy()
-    rotors[..., 0 if not abs(value) < 1.0 else slice(None)] = value
-    without = run(imm(), shaken.gyro, shaken.accel)
-    np.testing.assert_array_equal(run(imm(), shaken.gyro, shaken.accel, rotor_vel=rotors), without)
-
-
-def test_rotor_speeds_may_come_and_go(shaken):
-    """Until the first one the numbers are those without; a second without them does no lasting harm."""
-    gyro, accel, truth = shaken.gyro, shaken.accel, shaken.truth
-    late, gap = shaken.readings.rotor_vel.copy(), shaken.readings.rotor_vel.copy()
-    late[:, :3000], gap[:, 3000:3200] = np.nan, np.nan
-    estimate, without = run(imm(), gyro, accel, rotor_vel=late), run(imm(), gyro, accel)
-    np.testing.assert_array_equal(estimate[:, :3000], without[:, :3000])
-    assert np.abs(estimate[:, 3010:] - without[:, 3010:]).max() > 1e-3
-    always = rmse(imm(), gyro, accel, truth, rotor_vel=shaken.readings.rotor_vel)
-    assert rmse(imm(), gyro, accel, truth, rotor_vel=gap) == pytest.approx(always, rel=0.05)
-
-
-def test_a_rotor_speed_that_is_stuck_does_no_harm(shaken):
-    rotors = np.full_like(shaken.readings.rotor_vel, 400.0)
-    without = rmse(imm(), shaken.gyro, shaken.accel, shaken.truth)
-    assert rmse(imm(), shaken.gyro, shaken.accel, shaken.truth, rotor_vel=rotors) < 1.05 * without
-
-
-def test_rotor_speeds_stream_as_they_run_and_as_they_run_in_a_batch(shaken):
-    part = shaken.map(lambda each: np.ascontiguousarray(each[:2, :600]))
-    rotors = part.readings.rotor_vel
-    est = imm()
-    at_once = run(est, part.gyro, part.accel, rotor_vel=rotors)
-    est.reset(2)
-    for t in range(600):
-        now = est.update(part.gyro[:, t], part.accel[:, t], rotor_vel=rotors[:, t])
-        np.testing.assert_array_equal(now, at_once[:, t])
-    sets = {name: [value] * 2 for name, value in est.values.items()}
-    batch = run_batch("imm", sets, part.gyro, part.accel, rotor_vel=rotors)
-    np.testing.assert_array_equal(batch, np.stack([at_once] * 2))
-
-
-@pytest.mark.parametrize("rotors", [np.ones((1, 4)), np.ones(4), np.ones((2, 1, 4)), np.ones((3, 4))])
-def test_rotor_speeds_of_another_shape_are_refused(rotors):
-    est = imm()
-    est.reset(2)
-    with pytest.raises(ValueError, match=r"rotor_vel has shape .* it must be \(2, ·\)"):
-        est.update(np.zeros((2, 3)), np.ones((2, 3)), rotor_vel=rotors)
-    with pytest.raises(ValueError, match="rotor_vel has shape"):
-        est.sequence(np.zeros((2, 5, 3)), np.ones((2, 5, 3)), rotor_vel=rotors)
-
-
-def test_evaluate_gives_imm_the_rotor_speeds_of_a_dataset(shaken_data, shaken):
-    given = run(imm(), shaken.gyro, shaken.accel, rotor_vel=shaken.readings.rotor_vel)
-    row = evaluate(shaken_data, {"imm": imm()}, initial=("unknown",), settle_s=5.0).rows[0]
-    assert row.mean_deg == pytest.approx(absolute_error(given, shaken.truth).mean(), rel=1e-9)
-
-
-def test_evaluate_gives_imm_the_rotor_speeds_of_a_log(shaken):
-    time, quat = np.arange(shaken.gyro.shape[1]) / RATE, shaken.quat[0]
-    speeds = {"rotor_vel": Track(time, shaken.readings.rotor_vel[0])}
-    readings = time, shaken.gyro[0], shaken.accel[0], "x", time, quat
-    log = resample(Recording("mine", "x", *readings, sensors=speeds), RATE)[0]
-    gyro, accel, rotors = (log[name].to_numpy() for name in ("gyro", "accel", "rotor_vel"))
-    scores = score_logs([log], {"imm": imm()})
-    given = run(imm(), gyro, accel, rotor_vel=rotors)[0]
-    np.testing.assert_array_equal(scores.logs["mine"].estimates["imm"], given)
-    assert np.abs(given - run(imm(), gyro, accel)[0]).max() > 1e-3
-    believed = scores.logs["mine"].beliefs["imm"]
-    np.testing.assert_array_equal(believed.roll_pitch[0], given[believed.samples])
 
 
 # --- how sure ---------------------------------------------------------------------------------------

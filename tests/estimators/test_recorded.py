@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from sensor import readings
+from sensor import noisy, readings
 from typer.testing import CliRunner
 
 from estimators import create
@@ -85,16 +85,6 @@ def test_a_fast_turn_has_the_bias_of_a_slow_one():
     gyro = np.tile([0.0, 0.0, 0.4], (2000, 1)) + BIAS
     np.testing.assert_allclose(bias_by_truth(gyro, quat, 200.0).mean, BIAS, atol=1e-6)
     assert np.isnan(bias_by_truth(gyro[:100], quat[:100], 200.0).mean).all()
-
-
-def noisy(bias, noise=0.025, seconds=60.0, seed=0):
-    """A sensor that turns gently at 200 Hz, with a bias [rad/s] and a truth with white noise [rad]."""
-    time, rng = np.arange(round(seconds * 200)) / 200.0, np.random.default_rng(seed)
-    gyro, accel, quat = readings(time, 0.2 * np.sin(2 * time), 0.2 * np.sin(3 * time), 0.3 * time)
-    gyro = gyro + rng.normal(0.0, 0.003, gyro.shape) + bias
-    accel = accel + rng.normal(0.0, 0.05, gyro.shape)
-    seen = quat_multiply(quat, quat_from_rotvec(rng.normal(0.0, noise, gyro.shape)))
-    return resample(Recording("noisy", "x", time, gyro, accel, "mocap", time, seen))[0]
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -6,7 +6,13 @@ import numpy as np
 
 from quadsim.logs.recording import Recording
 from quadsim.logs.resample import resample
-from quadsim.rotation import quat_from_euler, quat_rotate, quat_rotate_inverse
+from quadsim.rotation import (
+    quat_from_euler,
+    quat_from_rotvec,
+    quat_multiply,
+    quat_rotate,
+    quat_rotate_inverse,
+)
 
 GRAVITY = np.array([0.0, 0.0, 9.81])
 RATE = 200.0
@@ -73,3 +79,13 @@ def consistent(log) -> None:
     up = quat_rotate_inverse(quat, GRAVITY / 9.81)
     turn = np.gradient(up, 1 / log.attrs["rate_hz"], axis=0)
     np.testing.assert_allclose(turn[2:-2], np.cross(up, gyro)[2:-2], atol=5e-3)
+
+
+def noisy(bias, noise=0.025, seconds=60.0, seed=0):
+    """A sensor that turns gently at 200 Hz, with a bias [rad/s] and a truth with white noise [rad]."""
+    time, rng = np.arange(round(seconds * 200)) / 200.0, np.random.default_rng(seed)
+    gyro, accel, quat = readings(time, 0.2 * np.sin(2 * time), 0.2 * np.sin(3 * time), 0.3 * time)
+    gyro = gyro + rng.normal(0.0, 0.003, gyro.shape) + bias
+    accel = accel + rng.normal(0.0, 0.05, gyro.shape)
+    seen = quat_multiply(quat, quat_from_rotvec(rng.normal(0.0, noise, gyro.shape)))
+    return resample(Recording("noisy", "x", time, gyro, accel, "mocap", time, seen))[0]
