@@ -30,7 +30,7 @@ from ..config.ranges import Between, SampleRate
 from ..config.toml import Strict
 from ..flight.recipe import Recipe
 from ..flight.simulate import simulate_flights
-from ..imu.spec import ImuSpec
+from ..imu.spec import READINGS, ImuSpec
 from ..runs.files import write_json, write_whole
 from ..runs.fingerprint import content_digest
 from ..vehicle import MIN_ROTORS
@@ -53,10 +53,9 @@ class Variable(NamedTuple):
 
 
 VARIABLES = {
-    "gyro": Variable("axis", "rad/s", "gyroscope reading: body rate with the errors of the IMU, sensor axes"),
-    "accel": Variable(
-        "axis", "m/s^2", "accelerometer reading: specific force with the errors of the IMU, sensor axes"
-    ),
+    name: Variable("axis", unit, f"{sensor} reading: {quantity} with the errors of the IMU, sensor axes")
+    for name, (unit, sensor, quantity) in READINGS.items()
+} | {
     "ang_vel": Variable("axis", "rad/s", "true angular rate of the body w.r.t. the world, body axes"),
     "specific_force": Variable("axis", "m/s^2", "true specific force at the centre of mass, body axes"),
     "quat": Variable("quat_axis", "1", "true attitude, body to world, Hamilton, scalar first"),
@@ -65,8 +64,10 @@ VARIABLES = {
     "rotor_vel": Variable("rotor", "rad/s", "rotor speed"),
     "rotor_vel_cmd": Variable("rotor", "rad/s", "rotor speed commanded by the controller"),
     "wind": Variable("axis", "m/s", "velocity of the air in the world, z up"),
-    "gyro_bias": Variable("axis", "rad/s", "true bias of the gyroscope, sensor axes"),
-    "accel_bias": Variable("axis", "m/s^2", "true bias of the accelerometer, sensor axes"),
+}
+VARIABLES |= {
+    f"{name}_bias": Variable("axis", unit, f"true bias of the {sensor}, sensor axes")
+    for name, (unit, sensor, _) in READINGS.items()
 }
 MEASURED = VARIABLES | {"mag": Variable("axis", "T", "magnetic field in body axes")}
 """Variables that the dataset of a log may have."""

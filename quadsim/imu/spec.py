@@ -70,6 +70,13 @@ class RotorVibration(Strict):
     """Amplitude of each rotor [m/s²]."""
 
 
+READINGS = {
+    "gyro": ("rad/s", "gyroscope", "body rate"),
+    "accel": ("m/s^2", "accelerometer", "specific force"),
+}
+"""Of the reading of each of `ImuSpec.sensors`: unit, sensor, and what it measures."""
+
+
 class ImuSpec(Strict):
     """An IMU; every default means an ideal one at the centre of mass."""
 
