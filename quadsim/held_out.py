@@ -45,17 +45,21 @@ def releases() -> list[str]:
     return preset_names("held-out")
 
 
+def reserved_by(seed: int) -> HeldOut | None:
+    """The held-out suite that a seed is of."""
+    suites = map(load_held_out, releases())
+    return next((suite for suite in suites if suite.seed <= seed < suite.seed + SEEDS), None)
+
+
 def unreserved(seed: int) -> int:
     """A seed that no held-out suite has.
 
     Raises:
         ValueError: One has it.
     """
-    for release in releases():
-        first = load_held_out(release).seed
-        if first <= seed < first + SEEDS:
-            raise ValueError(
-                f"seed {seed} is of the held-out suite of {release}, on which nothing is trained, tuned or "
-                f"chosen; give one below {first} or from {first + SEEDS} on"
-            )
+    if suite := reserved_by(seed):
+        raise ValueError(
+            f"seed {seed} is of the held-out suite of {suite.release}, on which nothing is trained, tuned or "
+            f"chosen; give one below {suite.seed} or from {suite.seed + SEEDS} on"
+        )
     return seed

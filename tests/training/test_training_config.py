@@ -1,8 +1,11 @@
+import numpy as np
 import pytest
 
 from quadsim.cli.options import fields_of
 from quadsim.config.toml import load_toml, preset_names
 from quadsim.dataset import open_dataset
+from quadsim.held_out import reserved_by
+from training.circuit import flight_sets
 from training.circuit.flight_sets import own_flights
 from training.config import CircuitRun, TrainConfig, TrainingRecipe, is_of_circuit, make_config
 
@@ -75,6 +78,18 @@ def test_a_circuit_without_data_makes_the_flights_of_its_preset(tmp_path):
     assert own_flights(config, tmp_path).data == made.data
     with pytest.raises(ValueError, match="seed"):
         own_flights(config.model_copy(update={"seed": 3}), tmp_path)
+
+
+def test_no_seed_of_these_flights_is_held_out(tmp_path, monkeypatch):
+    """The eighth set of seed 2 would have one of the suite of 0.3."""
+    seeds = []
+    monkeypatch.setattr(flight_sets, "generate", lambda *args, seed, **_: seeds.append(seed) or "")
+    own_flights(make_config("att-snn", seed=2), tmp_path)
+    drawn = [int(np.random.SeedSequence([2, k]).generate_state(1)[0]) for k in range(len(seeds))]
+    differs = [k for k, pair in enumerate(zip(seeds, drawn, strict=True)) if pair[0] != pair[1]]
+    assert differs == [7]
+    assert reserved_by(drawn[7])
+    assert not any(map(reserved_by, seeds))
 
 
 def test_every_field_is_documented():

@@ -10,6 +10,7 @@ from quadsim.config.toml import merged, parse
 from quadsim.dataset.generation import generate
 from quadsim.dataset.store import Progress
 from quadsim.flight.recipe import Recipe, load_recipe
+from quadsim.held_out import reserved_by
 
 from ..config import CircuitRun
 
@@ -30,7 +31,8 @@ def own_flights(config: CircuitRun, out: Path, progress: Progress = lambda done,
             recipes.append((parse(merged(base, changes), Recipe, each.recipe), flights))
     total, done, paths = sum(flights for _, flights in recipes), 0, []
     for index, (recipe, flights) in enumerate(recipes):
-        seed = int(np.random.SeedSequence([config.seed, index]).generate_state(1)[0])
+        drawn = np.random.SeedSequence([config.seed, index]).generate_state(8).tolist()
+        seed = next(each for each in drawn if not reserved_by(each))
 
         def report(part: int, _: int, before: int = done) -> None:
             progress(before + part, total)
