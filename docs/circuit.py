@@ -1,18 +1,17 @@
 """The spiking circuit that follows turns, part by part, at home and elsewhere."""
 
 from argparse import Namespace
-from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
+from errors import on_flights, on_recordings
 from foreign import AIRFRAMES, foreign
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from pages import Part, Values, row
-from recordings import BROAD, PHANTOM4, recordings, score
-from simulated import estimate_of, simulated
+from pages import Part, Row, Values, span
+from simulated import simulated
 
-from estimators import create
 from estimators.analysis.circuit import measure
 from estimators.circuit.circuit_estimator import SCALING, Silent, circuit_estimator
 from estimators.circuit.circuit_records import ANGLE_DIGITS, no_spikes, state_of
@@ -21,9 +20,10 @@ from estimators.circuit.floats import new_trace, run_floats, stepped
 from estimators.circuit.on_chip import place, populations
 from estimators.circuit.parameters import GRAVITY, OUTPUT, RATE_HZ, Parameters, quantised, untrained
 from estimators.circuit.spikes import SpikingCircuit, step
+from estimators.evaluation.comparison import made_of
 from estimators.evaluation.flights import Flights, load_flights
 from estimators.evaluation.logs import RAW
-from estimators.metrics import attitude_error
+from estimators.metrics import Summary
 from estimators.networks.encoder import encode_sample
 from estimators.networks.network import NetworkEstimator, zero_states
 from quadsim.dataset.generation import generate
@@ -37,19 +37,26 @@ Array = NDArray[np.float64]
 NAME = "att-snn"
 FLIGHTS, DURATION_S = 6, 60.0
 SETS = {
-    "rough px4-quad": ("robust", {"vehicle": "px4-quad"}, 8601),
-    "rough Crazyflie": ("robust", {"vehicle": "crazyflie"}, 8602),
-    "turbulence, raw IMU": ("turbulent", {"imu": "raw"}, 8603),
+    "px4-quad, wind, rough IMU": ("robust", {"vehicle": "px4-quad"}, 8601),
+    "Crazyflie, wind, rough IMU": ("robust", {"vehicle": "crazyflie"}, 8602),
+    "turbulence, uncalibrated IMU": ("turbulent", {"imu": "raw"}, 8603),
     "steady wind": ("windy", {}, 8606),
-    "any Crazyflie, raw IMU": ("wide", {"vehicle": "crazyflie", "imu": "raw"}, 8613),
-    "carried": ("carried", {}, 8612),
-    "in the hand": ("hand-held", {}, 8608),
-    "tumbling": ("tumbling", {}, 8611),
+    "Crazyflie of any mass and drag, uncalibrated IMU": (
+        "wide",
+        {"vehicle": "crazyflie", "imu": "raw"},
+        8613,
+    ),
+    "hand-held, near level": ("carried", {}, 8612),
+    "hand-held, any attitude": ("hand-held", {}, 8608),
+    "hand-held, tumbling": ("tumbling", {}, 8611),
 }
 """New flights: recipe, what differs from it, and seed."""
 SCALE = (1.33, 1.21, 0.56, 1.23)
 """Lengths of the untrained circuit's vectors, as `training.circuit.train.scaled` finds them."""
-RESAMPLES = 4000
+FLOATS, SPIKES = "trained, floats", "trained, spikes"
+"""Columns of the trained circuit; the spikes ship."""
+GATE_INPUTS = "gate inputs"
+"""What the code calls felt: the signals that open a gate."""
 SHOWN = 8
 """Neurons of a kind in the raster, those that spike most."""
 
@@ -71,65 +78,41 @@ def held(p: Parameters, flights: Flights) -> Parameters:
     return p._replace(gate=0 * p.gate, level=opened.astype(np.float64), onset=p.onset + p.level - opened)
 
 
-def estimators(home: Flights) -> dict[str, AttitudeEstimator]:
+def compared(home: Flights) -> dict[str, AttitudeEstimator]:
     """What the table compares, in the order of its columns."""
     config, p = load_circuit(NAME)
     first = untrained()._replace(scale=np.array(SCALE))
     return {
         "untrained, floats": circuit_estimator("att-rnn", first),
         "untrained, spikes": spiking(first),
-        "gates held": spiking(held(p, home)),
-        "floats": circuit_estimator("att-rnn", p),
-        "spikes": spiking(p, config.steps_per_sample),
-        "2 steps": spiking(p, 2),
-        "1 step": spiking(p, 1),
-        "silenced": NetworkEstimator(Silent(), RATE_HZ),
-        "att-snn-paper": create("att-snn-paper"),
-        "att-rnn-paper": create("att-rnn-paper"),
-        "vqf": create("vqf"),
-        "imm": create("imm"),
+        "trained, gates fixed": spiking(held(p, home)),
+        FLOATS: circuit_estimator("att-rnn", p),
+        SPIKES: spiking(p, config.steps_per_sample),
+        "2 steps a sample": spiking(p, 2),
+        "1 step a sample": spiking(p, 1),
+        "silenced: always level": NetworkEstimator(Silent(), RATE_HZ),
+        **made_of(["att-snn-paper", "att-rnn-paper", "vqf", "imm"], RATE_HZ),
     }
 
 
-def flight_errors(est: AttitudeEstimator, flights: Flights) -> Array:
-    """Mean absolute error of roll and pitch of each flight, unknown initial attitude [deg]."""
-    return attitude_error(estimate_of(est, flights), flights.truth).sequences
-
-
-def domains(given: Namespace) -> dict[str, Callable[[Mapping[str, AttitudeEstimator]], dict[str, Array]]]:
-    """For each row what scores all estimators: the errors of its flights or recordings."""
-
-    def of(flights: Flights) -> Callable[[Mapping[str, AttitudeEstimator]], dict[str, Array]]:
-        return lambda made: {name: flight_errors(est, flights) for name, est in made.items()}
-
-    def recorded(name: str) -> Callable[[Mapping[str, AttitudeEstimator]], dict[str, Array]]:
-        def errors(made: Mapping[str, AttitudeEstimator]) -> dict[str, Array]:
-            table = score(name, sets[name], made).on_logs(RAW)
-            return {each: table.loc[each].to_numpy() for each in made}
-
-        return errors
-
-    sets = recordings(given.recordings)
-    found = {"Hummingbird": of(load_flights([simulated("test", given.data)]))}
+def errors_by_set(given: Namespace) -> dict[str, pd.DataFrame]:
+    """Error of each flight or recording of each set, estimators × flights [deg]."""
+    made = compared(load_flights([simulated("train", given.data)], 8))
+    sets = {"Hummingbird": [simulated("test", given.data)]}
     for name, (recipe, changes, seed) in SETS.items():
         path = given.data / f"circuit-{recipe}-{seed}.zarr"
         chosen = changed(load_recipe(recipe), changes)
-        found[name] = of(load_flights([open_dataset(generate(chosen, FLIGHTS, DURATION_S, path, seed=seed))]))
-
-    def rotorpy(made: Mapping[str, AttitudeEstimator]) -> dict[str, Array]:
-        parts = [load_flights([foreign(airframe, given.data)]) for airframe in AIRFRAMES]
-        return {
-            name: np.concatenate([flight_errors(est, part) for part in parts]) for name, est in made.items()
-        }
-
-    return found | {"RotorPy": rotorpy, BROAD: recorded(BROAD), PHANTOM4: recorded(PHANTOM4)}
-
-
-def interval(errors: Array) -> str:
-    """95 % interval of the mean of flights, by the bootstrap."""
-    rng = np.random.default_rng(0)
-    means = rng.choice(errors, (RESAMPLES, len(errors))).mean(1)
-    return "–".join(f"{each:.2f}" for each in np.quantile(means, (0.025, 0.975)))
+        sets[name] = [open_dataset(generate(chosen, FLIGHTS, DURATION_S, path, seed=seed))]
+    sets["RotorPy"] = [foreign(airframe, given.data) for airframe in AIRFRAMES]
+    found = {}
+    with progress_bar("circuit", "sets") as bar:
+        for k, (name, flights) in enumerate(sets.items()):
+            bar(k, len(sets), name)
+            errors = on_flights(lambda _: made, flights).sequences.droplevel("initial")
+            found[name] = pd.DataFrame(errors.to_list(), errors.index)
+    scores = on_recordings(made, given.recordings)
+    found |= {f"{name}, real": each.on_logs(RAW) for name, each in scores.items()}
+    return {name: each.loc[list(made)] for name, each in found.items()}
 
 
 def digits(n: int) -> Array:
@@ -210,63 +193,51 @@ def turn(part: Part) -> None:
     part.save(figure, "circuit-turn.png", dpi=120)
 
 
-def neurons() -> list[str]:
+def neurons() -> list[Row]:
     """The populations of the circuit that ships."""
     config, p = load_circuit(NAME)
     circuit = quantised(p, config.steps_per_sample)
-    parts = populations(circuit)
-    lines = [row(each.name, each.neurons, each.compartments, each.synapses) for each in parts]
-    counts = [(each.neurons, each.compartments, each.synapses) for each in parts]
+    counts = [(each.neurons, each.compartments, each.synapses) for each in populations(circuit)]
     total = np.sum(counts, 0).tolist()
     assert total[0] <= 1024, total
     assert place(circuit) <= 2
-    return [*lines, row("all", *total)]
+    names = [each.name.replace("what is felt", GATE_INPUTS) for each in populations(circuit)]
+    return [*((name, *each) for name, each in zip(names, counts, strict=True)), ("all", *total)]
 
 
-def spikes(data: Path) -> list[str]:
-    """What the circuit does on the Hummingbird's test flights."""
+def by_steps(data: Path) -> tuple[list[Row], list[Row]]:
+    """What the circuit does on the Hummingbird's test flights, and with fewer steps and spikes a sample."""
     simulated("test", data)
     config, p = load_circuit(NAME)
-    return [row(*each) for each in measure(config, p, [data / "test.zarr"]).summary()]
+    found = {
+        steps: measure(config.model_copy(update={"steps_per_sample": steps}), p, [data / "test.zarr"])
+        for steps in (4, 2, 1)
+    }
+    rows = [
+        (n, f"{sum(each.spikes.values()):,.0f}", f"{each.nanojoules * n:.0f}", each.error_deg)
+        for n, each in found.items()
+    ]
+    shipped = found[config.steps_per_sample].summary()
+    return [(kind.replace("felt", GATE_INPUTS), amount) for kind, amount in shipped], rows
 
 
-def by_steps(data: Path) -> list[str]:
-    """The same with fewer steps a sample, which need fewer spikes."""
-    config, p = load_circuit(NAME)
-    rows = []
-    for steps in (4, 2, 1):
-        found = measure(config.model_copy(update={"steps_per_sample": steps}), p, [data / "test.zarr"])
-        per_sample = found.nanojoules * steps
-        rows.append(
-            row(steps, f"{sum(found.spikes.values()):,.0f}", f"{per_sample:.0f}", f"{found.error_deg:.2f}")
-        )
-    return rows
-
-
-def values(part: Part, given: Namespace) -> Values:
+def circuit(part: Part, given: Namespace) -> Values:
     """Measure everything, and draw."""
-    home = load_flights([simulated("train", given.data)], 8)
-    made, rows, costs = estimators(home), [], {}
-    sets = domains(given)
-    with progress_bar("circuit", "sets") as bar:
-        for k, (name, scored) in enumerate(sets.items()):
-            bar(k, len(sets), name)
-            errors = scored(made)
-            cells = [f"{np.nanmean(errors[each]):.2f}" for each in made]
-            rows.append(row(name, *cells, interval(errors["spikes"])))
-            costs[name] = float(np.nanmean(errors["spikes"]) - np.nanmean(errors["floats"]))
+    errors = errors_by_set(given)
+    means = pd.DataFrame({name: each.mean(axis=1) for name, each in errors.items()}).T
+    ends = [Summary(each.loc[SPIKES].to_numpy(float)).mean_interval() for each in errors.values()]
+    costs = means[SPIKES] - means[FLOATS]
     turn(part)
-    worst = max(costs, key=lambda name: costs[name])
-    training = load_circuit(NAME).config.training
+    spikes, steps = by_steps(given.data)
     return {
-        "columns": row("set", *made, "95 % of spikes"),
-        "ruler": row(*["---"] * (len(made) + 2)),
-        "table": rows,
+        "errors": means.assign(**{f"95 % interval of {SPIKES}": [span(*each) for each in ends]}).reset_index(
+            names="flights or recordings"
+        ),
         "neurons": neurons(),
-        "spikes": spikes(given.data),
-        "steps": by_steps(given.data),
-        "worst": worst,
-        "worst-cost": f"{costs[worst]:.2f}",
-        "median-cost": f"{np.median(list(costs.values())):.2f}",
-        "training-flights": str(training["training_flights"]),
+        "spikes": spikes,
+        "steps": steps,
+        "worst": str(costs.idxmax()),
+        "worst-cost": f"{costs.max():.2f}",
+        "median-cost": f"{costs.median():.2f}",
+        "training-flights": str(load_circuit(NAME).config.training["training_flights"]),
     }

@@ -1,64 +1,180 @@
-"""Fly the suite, long flights and breaking points, for results.md: `python docs/pages.py closed-loop`.
+"""Fly the held-out suite, the designed axes, the suite, long flights and breaking points, for results.md.
 
 A run that is cut short resumes, as `quadsim bench` does.
 """
 
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from datetime import date
 from textwrap import fill
+from typing import Any
 
 import matplotlib
 import numpy as np
+import pandas as pd
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from pages import Part, Values, row
+from pages import ROOT, Part, Row, Values, table
 
+from estimators.appearance import looks
+from estimators.networks.network import silenced
+from estimators.networks.weights_file import load_network, save_network
 from estimators.registry import NETWORKS
 from quadsim.control.gains import design, loop_margins
+from quadsim.held_out import HeldOut, load_held_out, releases
 from quadsim.runs.console import progress_bar
 from quadsim.vehicle import load_vehicle
 from scenarios.bench.cell import FlightSettings
 from scenarios.bench.controllers import TRUTH, default_estimators
-from scenarios.bench.experiment import Experiment, load_experiment
-from scenarios.bench.recommendation import recommendation
+from scenarios.bench.experiment import load_experiment
+from scenarios.bench.recommendation import Recommendation, recommendation, save_recommendation
 from scenarios.bench.results import Results
 from scenarios.bench.runner import bench
 from scenarios.bench.verdict import Verdict, conditions, shown, verdict
 from scenarios.report.page import publish
 
-OUT = Path(__file__).parents[1] / "reports" / "closed-loop"
+OUT = ROOT / "reports" / "closed-loop"
+AXES, BREAKING = load_experiment("axes"), load_experiment("breaking-points")
 SEEDS = 20
-SUITE, BREAKING = load_experiment("suite"), load_experiment("breaking-points")
+"""Of the suite and of long flights."""
 LONG = ("hover", "figure-8", "dryden-moderate", "wind-8")
 LONG_S = 100.0
 LONG_NAMES = (TRUTH, "att-snn-loihi", "att-rnn", "ekf-drag", "eskf", "mahony", "vqf")
-LEVEL = f"{Path(__file__).with_name('level.py')}:Level"
-SHOWN_SWEEPS = ("constant wind", "step of the gyro bias", "lost samples")
+SILENCED = OUT / "silenced.safetensors"
+"""A network with output weights of zero."""
+SWEEPS = ("constant wind", "step of the gyro bias", "lost samples")
 DELAYS_MS = (0, 5, 15, 30, 60, 100)
+BEHIND = "behind the best [°]"
+COLUMNS = {BEHIND: "error minus that of rank 1 [°]", "tracking [°]": "attitude tracking [°]"}
+"""Columns of a verdict that are called otherwise on the page."""
 
 
 def fly(
-    name: str,
-    experiment: Experiment,
+    folder: str,
     names: Sequence[str],
+    experiment: str = "suite",
     scenarios: Sequence[str] | None = None,
-    seeds: int = SEEDS,
+    seeds: int | None = None,
     changes: Mapping[str, object] | None = None,
 ) -> Results:
     """An experiment in a folder of its own."""
-    with progress_bar(name, "cells") as progress:
+    loaded = load_experiment(experiment)
+    settings = FlightSettings(seeds or loaded.seeds, loaded.seed or 0)
+    with progress_bar(folder, "cells") as bar:
         return bench(
-            scenarios, names, OUT / name, FlightSettings(seeds), changes or {},
-            experiment=experiment, progress=progress,
+            scenarios, names, OUT / folder, settings, changes or {}, experiment=loaded, progress=bar
         )  # fmt: skip
+
+
+def beside_crashes(value: float | None, crashes: int | None) -> str:
+    """A number, a dash where all flights crashed, and the number of crashed flights if there are any."""
+    return ("–" if value is None else f"{value:.2f}") + (f" ✕{crashes}" if crashes else "")
+
+
+def standings(judged: Verdict) -> pd.DataFrame:
+    """The table of a verdict."""
+    found = pd.DataFrame({"estimator": each.estimator, **each.texts} for each in judged.standings)
+    return found.rename(COLUMNS, axis="columns")
+
+
+# --- the held-out suite and the axes --------------------------------------------------------------
+
+
+def by_level(results: Results, axis: str) -> pd.DataFrame:
+    """A table of one axis: estimators against levels."""
+
+    def cell(name: str, level: str) -> str:
+        each = results.by_level[axis, level, name]
+        return beside_crashes(each.error_deg, each.crashes) if each.flights else "does not fly"
+
+    return pd.DataFrame(
+        {axis: name, **{level: cell(name, level) for level in results.axes[axis]}}
+        for name in results.estimators
+        if name not in results.unranked
+    )
+
+
+def draw_levels(results: Results) -> Figure:
+    """Mean errors at each level of each axis; open markers: some flights crashed."""
+    appearance = looks(name for name in results.estimators if name not in results.unranked)
+    figure = Figure(figsize=(11.0, 9.6), layout="constrained")
+    panels = figure.subplots(3, 2, sharey=True).ravel()
+    for panel, (axis, levels) in zip(panels, results.axes.items(), strict=True):
+        for k, (name, look) in enumerate(appearance.items()):
+            shift = 0.7 * ((k + 0.5) / len(appearance) - 0.5)
+            for x, level in enumerate(levels):
+                each = results.by_level[axis, level, name]
+                face = "white" if each.crashes else look.colour
+                panel.plot(
+                    x + shift, each.error_deg or np.nan, look.marker, color=look.colour, markersize=5,
+                    markerfacecolor=face, label=name if (panel is panels[0] and x == 0) else None,
+                )  # fmt: skip
+        panel.set_xticks(range(len(levels)), [fill(level, 14) for level in levels], fontsize="small")
+        panel.set_title(axis, fontsize="medium", loc="left")
+        panel.set_yscale("log")
+        panel.set_yticks([1, 2, 5, 10], ["1", "2", "5", "10"])
+        panel.minorticks_off()
+    figure.supylabel("error [°]")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=6, frameon=False)
+    figure.suptitle("Mean error of flights without a crash; open markers: some flights crashed")
+    return figure
+
+
+def ranges(held_out: HeldOut) -> list[Row]:
+    """What the held-out suite is drawn from."""
+    said = {
+        "kind of flight": "hover, a figure of eight, random manoeuvres",
+        "mean wind, from any side": "{}–{} m/s".format(*held_out.wind),
+        "Dryden turbulence, in half of them": "wind at 20 ft of {}–{} m/s".format(*held_out.wind_20ft),
+        "lap of the figure of eight": "{}–{} s".format(*held_out.period_s),
+        "largest tilt of random manoeuvres": "{}–{}°".format(*held_out.tilt_deg),
+    }
+    levels = {axis: ", ".join(of) for axis, of in AXES.axes.items()}
+    return list((said | levels).items())
+
+
+def held_out(part: Part, given: Namespace) -> Values:
+    """Fly the held-out suite, whose recommendation is saved, and the axes; draws the axes' levels."""
+    drawn = load_held_out(releases()[-1])
+    unseen = verdict(fly("held-out", default_estimators(), "held-out"))
+    command, today = "quadsim bench --experiment held-out", date.today().isoformat()
+    save_recommendation(
+        Recommendation(release=drawn.release, command=command, date=today, sentence=unseen.headline)
+    )
+    looked_at = fly("axes", default_estimators(), "axes")
+    judged = verdict(looked_at)  # which repeats the recommendation
+    part.save(draw_levels(looked_at), "verdict-axes.png", dpi=110, colours=128)
+    return {
+        "release": drawn.release,
+        "seed": str(drawn.seed),
+        "scenarios": str(drawn.scenarios),
+        "flights": str(drawn.flights),
+        "ranges": ranges(drawn),
+        "recommendation": unseen.headline,
+        "advice": [f"- {line}" for line in unseen.lines],
+        "standings": standings(unseen),
+        "cells": str(AXES.combinations),
+        "cell_flights": str(AXES.seeds),
+        "flown_in": ", ".join(f"`{name}`" for name in AXES.scenarios),
+        "axes_advice": [f"- {line}" for line in judged.lines],
+        "axes_standings": standings(judged),
+        "levels": [f"{table(by_level(looked_at, axis))}\n" for axis in [*AXES.axes, "scenario"]],
+    }
+
+
+# --- the suite ------------------------------------------------------------------------------------
+
+
+def by_cell(results: Results) -> dict[tuple[str, str], Any]:
+    """Crashes and metrics of each scenario with each estimator."""
+    return {(each.scenario, each.estimator): each for each in results.rows}
 
 
 def heat_map(results: Results, names: Sequence[str]) -> Figure:
     """Mean error of every estimator in every scenario, best estimators first; crashes in bold."""
     scenarios = list(results.scenarios)
-    rows = {(cell.estimator, cell.scenario): cell for cell in results.rows}
-    error = np.array([[rows[e, s].error_deg or np.nan for e in names] for s in scenarios], dtype=float)
+    rows = by_cell(results)
+    error = np.array([[rows[s, e].error_deg or np.nan for e in names] for s in scenarios], dtype=float)
     figure = Figure(figsize=(9.6, 0.27 * len(scenarios) + 1.6), layout="constrained")
     axes = figure.subplots()
     axes.grid(visible=False)
@@ -67,7 +183,7 @@ def heat_map(results: Results, names: Sequence[str]) -> Figure:
     picture = axes.imshow(error, norm=LogNorm(0.3, 30.0), cmap=colours, aspect="auto", alpha=0.8)
     for i, scenario in enumerate(scenarios):
         for j, name in enumerate(names):
-            crashes = rows[name, scenario].crashes
+            crashes = rows[scenario, name].crashes
             text = "–" if np.isnan(error[i, j]) else f"{error[i, j]:.1f}"
             text += f" ✕{crashes}" if crashes else ""
             weight = "bold" if crashes else "normal"
@@ -82,30 +198,26 @@ def heat_map(results: Results, names: Sequence[str]) -> Figure:
     return figure
 
 
-def standing_rows(judged: Verdict, silenced: Results) -> list[str]:
+def suite_standings(judged: Verdict, silent: Results) -> pd.DataFrame:
     """The table of the verdict, with error and crashes of a silenced network beside each network."""
-    (silent,), rows = silenced.totals.values(), []
-    for name, _, texts in judged.standings:
-        text = f"{shown(silent.error_deg)}, ✕ {silent.crashes}" if name in NETWORKS else "–"
-        columns = [texts[key] for key in ("crashed", "error [°]", "behind the best [°]", "tracking [°]")]
-        rows.append(row(name, *columns[:2], text, *columns[2:]))
-    return rows
+    (level,) = silent.totals.values()
+    found = standings(judged)
+    text = f"{shown(level.error_deg)}, ✕ {level.crashes}"
+    found["silenced network [°]"] = np.where(found["estimator"].isin(NETWORKS), text, "–")
+    return found[["estimator", "crashed", "error [°]", "silenced network [°]", *COLUMNS.values()]]
 
 
-def breaking_rows(results: Results) -> list[str]:
+def breaking_points(results: Results) -> list[Row]:
     """The least level of each disturbance at which an estimator crashed."""
-    return [
-        row(name, *(results.breaking_point(sweep, name) for sweep in SHOWN_SWEEPS))
-        for name in results.estimators
-    ]
+    return [(name, *(results.breaking_point(sweep, name) for sweep in SWEEPS)) for name in results.estimators]
 
 
-def long_rows(results: Results) -> list[str]:
+def long_flights(results: Results) -> list[Row]:
     """Crashes and attitude tracking over that of the truth, in the long flights; a silenced network last."""
-    rows = {(cell.estimator, cell.scenario): cell for cell in results.rows}
+    rows = by_cell(results)
 
     def entry(name: str, scenario: str) -> str:
-        cell, truth = rows[name, scenario], rows[TRUTH, scenario]
+        cell, truth = rows[scenario, name], rows[scenario, TRUTH]
         crashes = f", ✕ {cell.crashes}" if cell.crashes else ""
         if not (cell.attitude_deg and cell.position_m and truth.attitude_deg and truth.position_m):
             return f"–{crashes}"
@@ -114,13 +226,11 @@ def long_rows(results: Results) -> list[str]:
         ratios = cell.attitude_deg / truth.attitude_deg, cell.position_m / truth.position_m
         return f"{ratios[0]:.2f} ({shown(cell.error_deg)}, {ratios[1]:.2f}){crashes}"
 
-    return [
-        row("*a silenced network*" if name == LEVEL else name, *(entry(name, each) for each in LONG))
-        for name in results.estimators
-    ]
+    titles = {str(SILENCED): "*a silenced network*"}
+    return [(titles.get(name, name), *(entry(name, each) for each in LONG)) for name in results.estimators]
 
 
-def loop_parts() -> tuple[list[str], list[str]]:
+def delays() -> tuple[list[Row], list[str]]:
     """Margins of the attitude loop at each delay of the estimator; and what 15 ms cost, in a sentence."""
     vehicle = load_vehicle("hummingbird")
     gains = vehicle.controller
@@ -130,7 +240,7 @@ def loop_parts() -> tuple[list[str], list[str]]:
     for ms, m in found.items():
         stable = "barely" if m.phase_deg > 0 and m.gain_db > 0 else "unstable"
         affordable = "yes" if m.phase_deg >= 45 and m.gain_db >= 6 else stable
-        rows.append(row(ms, f"{m.phase_deg:.0f}", f"{m.gain_db:.1f}", f"{m.delay_ms:.0f}", affordable))
+        rows.append((ms, f"{m.phase_deg:.0f}", f"{m.gain_db:.1f}", f"{m.delay_ms:.0f}", affordable))
     none, paid = found[0], found[15]
     freed = loop_margins(vehicle, design(vehicle, estimator_delay=0.0), estimator_delay=0.0)["attitude"]
     return rows, [
@@ -142,15 +252,20 @@ def loop_parts() -> tuple[list[str], list[str]]:
     ]
 
 
-def values(part: Part, given: Namespace) -> Values:
-    """Measure everything, and draw."""
+def suite(part: Part, given: Namespace) -> Values:
+    """Fly the suite, long flights and breaking points, and draw errors by scenario."""
+    OUT.mkdir(parents=True, exist_ok=True)
+    config, tensors = load_network("att-snn-paper")
+    save_network(SILENCED, config, silenced(config, tensors))
     names = default_estimators()
-    results = fly("suite", SUITE, names)
-    silenced = fly("silenced", SUITE, [LEVEL])
-    long = fly("long", SUITE, (*LONG_NAMES, LEVEL), LONG, changes={"duration_s": LONG_S})
-    breaking = fly("breaking", BREAKING, names, seeds=BREAKING.seeds)
+    results = fly("suite", names, seeds=SEEDS)
+    silent = fly("silenced", [str(SILENCED)], seeds=SEEDS)
+    long = fly(
+        "long", [*LONG_NAMES, str(SILENCED)], scenarios=LONG, seeds=SEEDS, changes={"duration_s": LONG_S}
+    )
+    breaking = fly("breaking", names, "breaking-points")
     publish(OUT / "suite", results)
-    judged, (loop, price) = verdict(results), loop_parts()
+    judged, (loop, price) = verdict(results), delays()
     ranked = [each.estimator for each in judged.standings if each.estimator not in results.unranked]
     part.save(heat_map(results, ranked), "heat-map.png", colours=128)
     size = f"{len(results.scenarios)} scenarios × {len(names)} estimators × {SEEDS} seeds"
@@ -161,9 +276,9 @@ def values(part: Part, given: Namespace) -> Values:
         "seeds": str(SEEDS),
         "breaking_seeds": str(BREAKING.seeds),
         "long_s": f"{LONG_S:g}",
-        "standings": standing_rows(judged, silenced),
-        "breaking": breaking_rows(breaking),
-        "long": long_rows(long),
+        "standings": suite_standings(judged, silent),
+        "breaking": breaking_points(breaking),
+        "long": long_flights(long),
         "loop": loop,
         "price": price,
     }

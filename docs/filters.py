@@ -5,11 +5,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import xarray as xr
-from foreign import AIRFRAMES, DESCRIPTION, foreign, foreign_cell
+from errors import on_rotorpy, with_silenced
+from foreign import AIRFRAMES, DESCRIPTION, foreign
 from foreign import DURATION_S as FOREIGN_S
-from numpy.typing import NDArray
-from pages import Part, Values, row
+from pages import Part, Row, Values, span
 from simulated import DURATION_S, SETS, simulated
 
 from estimators import create, names
@@ -20,12 +21,11 @@ from estimators.metrics import attitude_error, inclination_error
 from estimators.registry import FILTERPY
 from estimators.running import run_quietly
 from estimators.tuned import load_tuning
-from quadsim.estimator import Readings
+from quadsim.estimator import AttitudeEstimator, Readings
 from quadsim.flight.recipe import load_recipe
 from quadsim.runs.console import progress_bar
 from quadsim.vehicle import Vehicle, with_drag
 
-Array = NDArray[np.float64]
 DOMAINS = {
     "hummingbird-adis16448": "test",
     "px4-quad-px4-mini": "test-px4",
@@ -64,44 +64,37 @@ def tuning_of(name: str, domain: str) -> str | None:
     return domain if name in load_tuning(domain) else None
 
 
-def compared(part: Part, domain: str, dataset: xr.Dataset) -> Evaluation:
-    """All estimators on the domain's test flights; draws the figures."""
-    vehicle, rate_hz = vehicle_of(dataset), float(dataset.attrs["rate_hz"])
-    made = {
-        name: create(name, rate_hz, tuning=tuning_of(name, domain), vehicle=vehicle)
+def made(domain: str, vehicle: Vehicle | None) -> dict[str, AttitudeEstimator]:
+    """All estimators, filters with the parameters of a domain."""
+    return {
+        name: create(name, tuning=tuning_of(name, domain), vehicle=vehicle)
         for name in names()
         if name not in LEFT_OUT
     }
+
+
+def compared(part: Part, domain: str, dataset: xr.Dataset) -> Evaluation:
+    """All estimators on the domain's test flights; draws the figures."""
     with progress_bar(domain, "runs") as bar:
-        done = evaluate(dataset, made, slow_flights=SLOW_FLIGHTS, progress=bar)
+        done = evaluate(dataset, made(domain, vehicle_of(dataset)), slow_flights=SLOW_FLIGHTS, progress=bar)
     for name, figure in {"violins": violins(done), "convergence": settling(done)}.items():
         part.save(figure, f"filters-{name}-{domain}.png", dpi=110)
     return done
 
 
-def rotorpy_cell(name: str, start: str, domain: str, data: Path) -> str:
-    """The error on RotorPy's flights with the domain's IMU; slow filters run on a few of them."""
-    return foreign_cell(
-        name,
-        lambda vehicle: create(name, tuning=tuning_of(name, domain), vehicle=vehicle),
-        data,
-        load_recipe(SETS[DOMAINS[domain]].recipe).imu,
-        known=start == "known",
-        count=SLOW_FLIGHTS // len(AIRFRAMES) if name in FILTERPY else None,
-    )
-
-
-def result_rows(done: Evaluation, domain: str, data: Path) -> list[str]:
-    """The table, unknown starts first, best first."""
+def results(done: Evaluation, domain: str, data: Path) -> list[Row]:
+    """The table, unknown starts first, best first; beside it RotorPy's flights with the domain's IMU."""
+    imu, starts = load_recipe(SETS[DOMAINS[domain]].recipe).imu, ("unknown", "known")
+    slow = SLOW_FLIGHTS // len(AIRFRAMES)
+    abroad = on_rotorpy(lambda each: made(domain, each), data, imu, initial=starts, slow_flights=slow)
     rows = []
     for each in sorted(done.rows, key=lambda each: (each.initial != "unknown", each.mean_deg)):
+        name = each.estimator + ("*" if each.flights < done.table["flights"].max() else "")
+        mean = f"{each.mean_deg:.2f} ({span(each.mean_low_deg, each.mean_high_deg)})"
+        numbers = each.median_deg, mean, each.sd_deg, each.silenced_deg, behind_the_best(each)
+        elsewhere = with_silenced(abroad.loc[each.estimator, each.initial])
         settled = [f"{s:.1f}" if np.isfinite(s) else "never" for s in (each.settle_20_s, each.settle_45_s)]
-        name = each.estimator + ("*" if each.flights < max(other.flights for other in done.rows) else "")
-        mean = f"{each.mean_deg:.2f} ({each.mean_low_deg:.2f}–{each.mean_high_deg:.2f})"
-        silenced = f"{each.silenced_deg:.2f}" if np.isfinite(each.silenced_deg) else "–"
-        numbers = [f"{each.median_deg:.2f}", mean, f"{each.sd_deg:.2f}", silenced, behind_the_best(each)]
-        rotorpy = rotorpy_cell(each.estimator, each.initial, domain, data)
-        rows.append(row(name, each.initial, *numbers, f"{each.inclination_rmse_deg:.2f}", rotorpy, *settled))
+        rows.append((name, each.initial, *numbers, each.inclination_rmse_deg, elsewhere, *settled))
     return rows
 
 
@@ -123,54 +116,51 @@ def elsewhere(data: Path) -> Iterator[tuple[str, str, xr.Dataset]]:
             yield f"RotorPy's {airframe}, {what}", next(iter(DOMAINS)), dataset.isel(flight=chosen)
 
 
-def elsewhere_rows(data: Path) -> list[str]:
+def elsewhere_errors(data: Path) -> list[Row]:
     """Errors on other kinds of flight, started in motion, with the drag right, wrong and absent."""
     rows = []
     for what, domain, dataset in elsewhere(data):
         flights, vehicle = load_flights([dataset]).pieces(PIECES), vehicle_of(dataset)
         assert vehicle is not None
-        errors = [
+        drags = [
             mean_error("ekf-drag", flights, domain, with_drag(vehicle, k)) for k in (1.0, 0.5, 2.0, 0.01)
         ]
-        errors += [mean_error(each, flights, domain, None) for each in ("vqf", "eskf")]
-        rows.append(row(what, *(f"{error:.2f}" for error in errors)))
+        rows.append((what, *drags, *(mean_error(name, flights, domain, None) for name in ("vqf", "eskf"))))
     return rows
 
 
-def spoilt_rows(dataset: xr.Dataset, domain: str) -> list[str]:
+def spoilt(dataset: xr.Dataset, domain: str) -> pd.DataFrame:
     """Angle to the run on undisturbed readings, some time after bad samples and a gap."""
     flights, vehicle = load_flights([dataset]), vehicle_of(dataset)
     at, end = (round(s * flights.rate_hz) for s in (SPOILT_AT_S, SPOILT_AT_S + RECOVERED_S + 0.5))
     second = round(flights.rate_hz)
     clean = flights.gyro[:, :end], flights.accel[:, :end]
     rows = []
-    for name in names():
-        if name in (*LEFT_OUT, *FILTERPY):
+    for name, est in made(domain, vehicle).items():
+        if name in FILTERPY:
             continue
-        est = create(name, flights.rate_hz, tuning=tuning_of(name, domain), vehicle=vehicle)
-        wanted, cells = run_quietly(est, Readings(*clean)), []
-        for sensor, samples, reading in SPOILT.values():
+        wanted, row = run_quietly(est, Readings(*clean)), {"estimator": name}
+        for title, (sensor, samples, reading) in SPOILT.items():
             gyro, accel = (each.copy() for each in clean)
             for kind, values in (("gyro", gyro), ("accel", accel)):
                 if sensor in (kind, "both"):
                     values[:, at : at + samples] = reading
-            error = inclination_error(run_quietly(est, Readings(gyro, accel)), wanted)[:, -second:].mean(
-                axis=1
-            )
-            cells.append(f"{np.median(error):.2f} / {error.max():.2f}")
-        rows.append(row(name, *cells))
-    return rows
+            found = run_quietly(est, Readings(gyro, accel))
+            error = inclination_error(found, wanted)[:, -second:].mean(axis=1)
+            row[title] = f"{np.median(error):.2f} / {error.max():.2f}"
+        rows.append(row)
+    return pd.DataFrame(rows)
 
 
-def values(part: Part, given: Namespace) -> Values:
+def filters(part: Part, given: Namespace) -> Values:
     """Measure everything, and draw."""
-    tables = {"elsewhere": elsewhere_rows(given.data)}
+    tables = {"elsewhere": elsewhere_errors(given.data)}
     sets = {domain: simulated(name, given.data) for domain, name in DOMAINS.items()}
     for domain, dataset in sets.items():
         done = compared(part, domain, dataset)
         tables |= {
-            f"results:{domain}": result_rows(done, domain, given.data),
-            f"spoilt:{domain}": spoilt_rows(dataset, domain),
+            f"results:{domain}": results(done, domain, given.data),
+            f"spoilt:{domain}": spoilt(dataset, domain),
         }
     return tables | {
         "flights": str(next(iter(sets.values())).sizes["flight"]),
@@ -180,5 +170,4 @@ def values(part: Part, given: Namespace) -> Values:
         "foreign_piece_s": f"{FOREIGN_S / PIECES:g}",
         "rotorpy": DESCRIPTION,
         "recovered": f"{RECOVERED_S:g}",
-        "spoilt": row("estimator", *SPOILT),
     }

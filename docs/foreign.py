@@ -8,7 +8,7 @@ tuned on these flights.
 """
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -24,12 +24,7 @@ from rotorpy.vehicles import crazyflie_params, hummingbird_params
 from rotorpy.vehicles.multirotor import Multirotor
 from rotorpy.wind.default_winds import SinusoidWind
 from rotorpy.wind.dryden_winds import DrydenGust
-from simulated import estimate_of
 
-from estimators.evaluation.comparison import silenced_twin
-from estimators.evaluation.flights import load_flights
-from estimators.metrics import Summary, attitude_error
-from quadsim.estimator import AttitudeEstimator
 from quadsim.imu.spec import ImuSpec, load_imu
 from quadsim.imu.stream import motion_of, simulate_readings
 from quadsim.rotation import quat_rotate_inverse, wxyz_from_xyzw
@@ -39,8 +34,6 @@ from quadsim.runs.pool import run_jobs
 from quadsim.vehicle import AIR_DENSITY, GRAVITY, Motor, Rotor, Vehicle, load_vehicle
 
 Array = NDArray[np.float64]
-Make = Callable[[Vehicle], AttitudeEstimator]
-"""Makes an estimator for an airframe."""
 
 RATE_HZ = 200.0
 ADIS16448 = load_imu("adis16448")
@@ -231,39 +224,3 @@ def foreign(airframe: str, data: Path, imu: ImuSpec = ADIS16448) -> xr.Dataset:
         {"wind_model": ("flight", [plan.wind for plan in plans])},
         {"rate_hz": RATE_HZ, "config": json.dumps(config)},
     )
-
-
-def foreign_error(
-    make: Make,
-    data: Path,
-    imu: ImuSpec = ADIS16448,
-    *,
-    measure: Callable[[Array, Array], Summary] = attitude_error,
-    known: bool = False,
-    count: int | None = None,
-) -> float:
-    """Mean error of an estimator over RotorPy's flights of all airframes [deg].
-
-    Args:
-        make: Makes the estimator, given RotorPy's constants of the airframe.
-        data: Folder of the datasets.
-        imu: The IMU.
-        measure: From estimate and truth (n, T, 2) [rad] to the error of each flight.
-        known: Whether the initial attitude is given.
-        count: Flights of each airframe, or all.
-    """
-    errors = []
-    for airframe in AIRFRAMES:
-        flights = load_flights([foreign(airframe, data, imu)], count)
-        chosen = flights.known() if known else flights
-        errors.append(measure(estimate_of(make(vehicle(airframe)), chosen), chosen.truth).sequences)
-    return float(np.mean(np.concatenate(errors)))
-
-
-def foreign_cell(name: str, make: Make, data: Path, imu: ImuSpec = ADIS16448, **how: Any) -> str:
-    """`foreign_error` as tables show it, of a network with that of the silenced network beside it."""
-    text = f"{foreign_error(make, data, imu, **how):.2f}"
-    twin = silenced_twin(name)
-    if twin is None:
-        return text
-    return f"{text} (silenced {foreign_error(lambda _: twin, data, imu, **how):.2f})"

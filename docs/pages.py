@@ -4,7 +4,7 @@
     python docs/pages.py --check            # fails for parts edited since they were made; lists older ones
     python docs/pages.py --stamp filters    # accepts an edit of a part
 
-The part NAME is docs/parts/NAME.md, filled with what the function `values` of its script returns. It stands
+The part NAME is docs/parts/NAME.md, filled with the tables and sentences that its function returns. It stands
 in its page between the line <!-- part NAME --> and its stamp: the command, the commit that made it, a
 fingerprint of the code and assets that it was made by, and a digest of its text and pictures.
 """
@@ -14,10 +14,12 @@ import re
 import sys
 from collections.abc import Mapping, Sequence
 from importlib import import_module
+from math import isnan
 from pathlib import Path
 from typing import NamedTuple
 
 import matplotlib
+import pandas as pd
 from matplotlib.figure import Figure
 from PIL import Image
 
@@ -27,22 +29,22 @@ from quadsim.runs.record import commit
 
 ROOT = Path(__file__).parents[1]
 PARTS = {
-    "README": ("README.md", "readme"),
-    "verdict": ("docs/results.md", "verdict"),
-    "closed-loop": ("docs/results.md", "closed_loop"),
-    "recordings": ("docs/results.md", "recordings"),
-    "control": ("docs/results.md", "control_page"),
-    "simulator": ("docs/simulator.md", "simulator"),
-    "identify": ("docs/simulator.md", "identify"),
-    "filters": ("docs/filters.md", "filters"),
-    "circuit": ("docs/networks.md", "circuit"),
-    "training": ("docs/networks.md", "training_page"),
-    "loihi": ("docs/chip.md", "loihi"),
-    "deploy": ("docs/chip.md", "deploy"),
-    "speed": ("docs/speed.md", "speed"),
-    "paper": ("docs/paper.md", "paper_page"),
+    "README": ("README.md", "errors.readme"),
+    "verdict": ("docs/results.md", "closed_loop.held_out"),
+    "closed-loop": ("docs/results.md", "closed_loop.suite"),
+    "recordings": ("docs/results.md", "errors.recordings"),
+    "control": ("docs/results.md", "control.controllers"),
+    "simulator": ("docs/simulator.md", "simulator.theory"),
+    "identify": ("docs/simulator.md", "simulator.identification"),
+    "filters": ("docs/filters.md", "filters.filters"),
+    "circuit": ("docs/networks.md", "circuit.circuit"),
+    "training": ("docs/networks.md", "layers.errors_and_training"),
+    "loihi": ("docs/chip.md", "layers.chip"),
+    "deploy": ("docs/chip.md", "cortex.microcontrollers"),
+    "speed": ("docs/speed.md", "speed.speed"),
+    "paper": ("docs/paper.md", "errors.paper"),
 }
-"""Parts, the page that each stands in, and the script that makes it."""
+"""Parts, the page that each stands in, and the script and function that measure it."""
 STAMP = re.compile(
     r"(?P<older>\*Made at commit [\w-]+; the code has changed since\.\*\n\n)?"
     r"<!-- made by: (?P<command>[^;]+); commit (?P<commit>[\w-]+); "
@@ -53,8 +55,10 @@ PICTURE = re.compile(r"\]\((img/[^)]+)\)")
 LENGTH = 12
 """Hexadecimal digits of a digest."""
 
-Values = Mapping[str, str | Sequence[str]]
-"""For each {key} of a template a text, or the rows of a table."""
+Row = tuple[object, ...]
+Value = str | Sequence[str] | Sequence[Row] | pd.DataFrame
+Values = Mapping[str, Value]
+"""For each {key} of a template a text, lines, rows of a table whose heading it has, or a table."""
 
 
 class Part(NamedTuple):
@@ -76,7 +80,7 @@ class Part(NamedTuple):
     @property
     def code(self) -> str:
         """Fingerprint of the script with all that it imports, of the template, assets and scenarios."""
-        files = closure([self.root / f"docs/{PARTS[self.name][1]}.py"], self.root)
+        files = closure([self.root / f"docs/{PARTS[self.name][1].partition('.')[0]}.py"], self.root)
         files |= {self.template, *self.root.glob("assets/**/*"), *self.root.glob("scenarios/*.toml")}
         files |= {*self.root.glob("estimators/filters/**/*.py")}  # which are imported by name
         digests = {
@@ -102,6 +106,12 @@ class Part(NamedTuple):
         pictures = [self.root / "docs" / each for each in PICTURE.findall(body)]
         there = [content_digest(each.read_bytes()) if each.is_file() else "missing" for each in pictures]
         return fingerprint(body, *there)[:LENGTH]
+
+    def measure(self, given: argparse.Namespace) -> Values:
+        """What the part's function returns; it draws the pictures, too."""
+        script, _, function = PARTS[self.name][1].partition(".")
+        with matplotlib.rc_context(STYLE):
+            return getattr(import_module(script), function)(self, given)
 
     def write(self, values: Values) -> None:
         """Fill the template, and stamp the part.
@@ -145,9 +155,27 @@ def reduce_colours(path: Path, colours: int) -> None:
     image.save(path, optimize=True)
 
 
-def row(*cells: object) -> str:
+def number(value: object) -> str:
+    """A cell of a table: a float with two decimals, a dash where there is none, anything else as it is."""
+    if not isinstance(value, float):
+        return str(value)
+    return "–" if isnan(value) else f"{value:.2f}"
+
+
+def span(low: float, high: float) -> str:
+    """The ends of an interval."""
+    return f"{low:.2f}–{high:.2f}"
+
+
+def table(frame: pd.DataFrame) -> str:
+    """A table under the names of its columns."""
+    rows = frame.itertuples(index=False, name=None)
+    return "\n".join([row(tuple(frame)), "|---" * frame.shape[1] + "|", *map(row, rows)])
+
+
+def row(cells: Row) -> str:
     """A line of a table."""
-    return "| " + " | ".join(map(str, cells)) + " |"
+    return f"| {' | '.join(map(number, cells))} |"
 
 
 def confirmed(claim: str, value: float, most: float = 0) -> float:
@@ -178,8 +206,12 @@ def _stamp(command: str, commit: str, code: str, text: str) -> str:
     return f"<!-- made by: {command}; commit {commit}; code {code}; text {text} -->\n"
 
 
-def _text(value: str | Sequence[str]) -> str:
-    return value if isinstance(value, str) else "\n".join(value)
+def _text(value: Value) -> str:
+    if isinstance(value, pd.DataFrame):
+        return table(value)
+    if isinstance(value, str):
+        return value
+    return "\n".join(each if isinstance(each, str) else row(each) for each in value)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -199,8 +231,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if given.stamp:
             part.restamp()
         else:
-            with matplotlib.rc_context(STYLE):
-                part.write(import_module(PARTS[part.name][1]).values(part, given))
+            part.write(part.measure(given))
     edited = check([Part(name) for name in PARTS]) if given.check else []
     print(*edited, sep="\n", end="\n" if edited else "")
     return int(bool(edited))

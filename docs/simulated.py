@@ -4,13 +4,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import xarray as xr
-from numpy.typing import NDArray
 
-from estimators import run
-from estimators.evaluation.flights import Flights
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
-from quadsim.estimator import AttitudeEstimator
 from quadsim.flight.recipe import load_recipe
 from quadsim.flight.scenario import changed
 
@@ -50,8 +46,3 @@ def simulated(name: str, data: Path) -> xr.Dataset:
         recipe = changed(recipe, {"imu": made.imu})
     path = generate(recipe, made.flights, DURATION_S, data / f"{name}.zarr", seed=made.seed)
     return open_dataset(path)
-
-
-def estimate_of(est: AttitudeEstimator, flights: Flights) -> NDArray:
-    """Roll and pitch (n, T, 2) [rad], from the start that the flights have."""
-    return run(est, flights.gyro, flights.accel, roll_pitch=flights.start, quat=flights.quat)

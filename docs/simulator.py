@@ -1,26 +1,41 @@
-"""The simulator against theory."""
+"""The simulator against theory, and how well vehicles and IMUs are identified."""
 
 from argparse import Namespace
+from pathlib import Path
 
 import allantools
 import numpy as np
 from numpy.typing import NDArray
-from pages import Part, Values, reduce_colours, row
+from pages import Part, Row, Values, reduce_colours
 from scipy.signal import welch
 
 from quadsim.control.gains import loop_margins
 from quadsim.dataset.figures import plot
 from quadsim.dataset.generation import generate
-from quadsim.flight.recipe import load_recipe
+from quadsim.dataset.reading import open_dataset
+from quadsim.flight.recipe import Recipe, load_recipe
+from quadsim.identify import Flight, Identified, flights_of, identify
+from quadsim.identify.fit_report import draw_fit
+from quadsim.identify.model import UNITS, constant, with_constants
 from quadsim.imu.spec import ImuSpec, Sensor, load_imu
 from quadsim.imu.stream import simulate_imu
+from quadsim.logs.allan import calibrate, draw
+from quadsim.logs.recording import Recording
 from quadsim.plant import Plant
 from quadsim.rotation import quat_conjugate, quat_multiply
-from quadsim.vehicle import load_vehicle
+from quadsim.vehicle import Vehicle, load_vehicle
 from quadsim.wind import dryden, dryden_scales
 
 Array = NDArray[np.float64]
-RATE = 200.0
+RATE_HZ = 200.0
+HOUR = round(3600 * RATE_HZ)
+"""Samples."""
+IMUS = ("adis16448", "px4-mini")
+AIRFRAMES = ("hummingbird", "px4-quad", "crazyflie")
+FLIGHTS, DURATION_S, SEED = 2, 60.0, 78
+"""Of each kind of flight of each airframe that is identified."""
+GUESSES = (0.75, 1.3)
+"""What each constant is multiplied by before the fit, at random."""
 
 
 def allan_theory(sensor: Sensor, t: Array) -> Array:
@@ -30,30 +45,29 @@ def allan_theory(sensor: Sensor, t: Array) -> Array:
     return np.sqrt(n**2 / t + sigma**2 * tau**2 / t * (1 - tau / (2 * t) * decay))
 
 
-def allan_rows() -> list[str]:
-    """Allan deviation of one hour of both presets over the formula."""
-    rows, steps = [], round(3600 * RATE)
-    taus = np.array([0.1, 0.3, 1, 3, 10, 30, 100, 300])
-    zero = np.zeros((8, steps, 3))
-    for preset in ("adis16448", "px4-mini"):
+def allan() -> list[Row]:
+    """Allan deviation of one hour of both IMUs over the formula."""
+    rows, taus = [], np.array([0.1, 0.3, 1, 3, 10, 30, 100, 300])
+    zero = np.zeros((8, HOUR, 3))
+    for preset in IMUS:
         spec = load_imu(preset)
-        white = (
+        gyro, accel = (
             Sensor(noise=each.noise, random_walk=each.random_walk, time_constant=each.time_constant)
             for each in (spec.gyro, spec.accel)
         )
-        bare = ImuSpec(**dict(zip(("gyro", "accel"), white, strict=True)))
-        readings = simulate_imu(bare, zero, zero, RATE, seed=1)
-        for name, sensor, reading in zip(("gyro", "accel"), (spec.gyro, spec.accel), readings, strict=True):
-            each = reading.transpose(0, 2, 1).reshape(-1, steps)
+        readings = simulate_imu(ImuSpec(gyro=gyro, accel=accel), zero, zero, RATE_HZ, seed=1)
+        for name, sensor, reading in zip(("gyro", "accel"), (gyro, accel), readings, strict=True):
+            each = reading.transpose(0, 2, 1).reshape(-1, HOUR)
             found = [
-                [allantools.oadev(one, RATE, "freq", taus=[tau])[1][0] ** 2 for tau in taus] for one in each
+                [allantools.oadev(one, RATE_HZ, "freq", taus=[tau])[1][0] ** 2 for tau in taus]
+                for one in each
             ]
             over = np.sqrt(np.mean(found, axis=0)) / allan_theory(sensor, taus)
-            rows.append(row(f"{preset} {name}", *(f"{each:.3f}" for each in over)))
+            rows.append((f"{preset} {name}", *(f"{each:.3f}" for each in over)))
     return rows
 
 
-def dryden_rows() -> list[str]:
+def turbulence() -> list[Row]:
     """Simulated turbulence against MIL-F-8785C: error of the power in three bands, standard deviations."""
     airspeed, altitude, wind_20ft = 10.0, 20.0, 15.0
     series = dryden(64, 2**16, 20.0, airspeed, altitude, wind_20ft, seed=2)
@@ -67,12 +81,12 @@ def dryden_rows() -> list[str]:
         theory = 2 * sigma**2 * length / airspeed * shape
         bands = [(f >= low) & (f < high) for low, high in ((0.01, 0.05), (0.05, 0.5), (0.5, 3.0))]
         errors = [10 * np.log10(power.mean(axis=0)[band].sum() / theory[band].sum()) for band in bands]
-        shown = [f"{error:+.2f}" for error in errors]
-        rows.append(row(name, *shown, f"{series[..., k].std():.3f}", f"{sigma:.3f}"))
+        deviations = f"{series[..., k].std():.3f}", f"{sigma:.3f}"
+        rows.append((name, *(f"{error:+.2f}" for error in errors), *deviations))
     return rows
 
 
-def engine_rows() -> list[str]:
+def engines() -> list[Row]:
     """Attitude error of larger steps against 50 µs over an open-loop 60° manoeuvre."""
     vehicle = load_vehicle("hummingbird")
     command = np.array([440.0, 453.0, 472.0, 450.0])
@@ -91,31 +105,101 @@ def engine_rows() -> list[str]:
         turn = np.linalg.norm(quat_multiply(quat_conjugate(exact_quat), quat)[1:])
         angle = 2 * np.degrees(np.arcsin(turn))
         shift = np.linalg.norm(position - exact_position)
-        rows.append(row(f"{integrator}, {1e3 / rate_hz:g} ms", f"{angle:.1e}", f"{1e3 * shift:.1e}"))
+        rows.append((f"{integrator}, {1e3 / rate_hz:g} ms", f"{angle:.1e}", f"{1e3 * shift:.1e}"))
     return rows
 
 
-def margin_rows() -> list[str]:
+def margins() -> list[Row]:
     """Margins of every shipped vehicle's loops."""
     rows = []
-    for name in ("hummingbird", "px4-quad", "crazyflie"):
+    for name in AIRFRAMES:
         vehicle = load_vehicle(name)
         assert vehicle.controller is not None
-        for loop, m in loop_margins(vehicle, vehicle.controller).items():
-            values = f"{m.crossover:.2f}", f"{m.phase_deg:.1f}", f"{m.gain_db:.1f}", f"{m.delay_ms:.0f}"
-            rows.append(row(name, loop, *values))
+        for loop, found in loop_margins(vehicle, vehicle.controller).items():
+            margins = f"{found.phase_deg:.1f}", f"{found.gain_db:.1f}", f"{found.delay_ms:.0f}"
+            rows.append((name, loop, found.crossover, *margins))
     return rows
 
 
-def values(part: Part, given: Namespace) -> Values:
-    """Measure everything, and draw."""
-    config = load_recipe("hummingbird")
+def theory(part: Part, given: Namespace) -> Values:
+    """Compare the simulator with theory, and draw flights."""
     flights = part.root / "docs" / "img" / "flights.png"
-    plot(generate(config, 8, 100.0, given.data / "docs-flights.zarr", seed=0), flights)
+    plot(generate(load_recipe("hummingbird"), 8, 100.0, given.data / "docs-flights.zarr", seed=0), flights)
     reduce_colours(flights, 48)
+    return {"allan": allan(), "dryden": turbulence(), "engine": engines(), "margins": margins()}
+
+
+# --- identification -------------------------------------------------------------------------------
+
+
+def config_of(airframe: str, trajectory: str) -> Recipe:
+    """Still air and the ADIS16448, on the trajectory of a recipe."""
+    config = load_recipe("hummingbird")
+    changes = {
+        "vehicle": load_vehicle(airframe),
+        "trajectory": load_recipe(trajectory).trajectory,
+    }
+    return config.model_copy(update=changes)
+
+
+def guess(vehicle: Vehicle, seed: int) -> Vehicle:
+    """The vehicle with every constant wrong."""
+    rng = np.random.default_rng(seed)
+    return with_constants(
+        vehicle, {name: constant(vehicle, name) * float(rng.choice(GUESSES)) for name in UNITS}
+    )
+
+
+def identified(airframe: str, data: Path) -> Identified:
+    """The fit to aggressive and to fast flights."""
+    flights: list[Flight] = []
+    for k, trajectory in enumerate(("hummingbird", "cruise")):
+        path = data / f"identify-{airframe}-{trajectory}.zarr"
+        generate(config_of(airframe, trajectory), FLIGHTS, DURATION_S, path, seed=SEED + k)
+        flights += flights_of(open_dataset(path))
+    return identify(flights, guess(load_vehicle(airframe), SEED))
+
+
+def constants(found: dict[str, Identified]) -> list[Row]:
+    """Error of each constant and its 95 % interval, for each airframe."""
+
+    def cell(airframe: str, name: str) -> str:
+        each, true = found[airframe].constants.loc[name], constant(load_vehicle(airframe), name)
+        if not true:
+            return f"{each.fitted:.1g} (is 0)"
+        used = "" if each.identified else ", not used"
+        return f"{each.fitted / true - 1:+.1%} (± {each.half_width / true:.1%}{used})"
+
+    return [(f"`{name}`", *(cell(airframe, name) for airframe in found)) for name in UNITS]
+
+
+def calibration(part: Part) -> list[Row]:
+    """An hour at rest of two sensors, calibrated."""
+    rows = []
+    force = np.tile([0.0, 0.0, 9.81], (1, HOUR, 1))
+    for preset in IMUS:
+        imu = load_imu(preset)
+        gyro, accel = simulate_imu(imu, np.zeros_like(force), force, RATE_HZ, seed=1)
+        found = calibrate(Recording(preset, "", np.arange(HOUR) / RATE_HZ, gyro[0], accel[0]))
+        if preset == IMUS[0]:
+            part.save(draw(found), "calibration.png", dpi=100, colours=48)
+        for name, mine, true in (("gyro", found.gyro, imu.gyro), ("accel", found.accel, imu.accel)):
+            tau = mine.time_constant / (true.time_constant or np.nan)
+            ratio = mine.random_walk / true.random_walk
+            shown = f"{'' if mine.resolved else '> '}{tau:.2f}"
+            rows.append((preset, name, f"{mine.noise / true.noise:.3f}", ratio, shown))
+    return rows
+
+
+def identification(part: Part, given: Namespace) -> Values:
+    """Identify vehicles and IMUs, and draw the fits."""
+    found = {airframe: identified(airframe, given.data) for airframe in AIRFRAMES}
+    part.save(draw_fit(found["hummingbird"]), "identify-fit.png")
+    least = min(result.explained.min() for result in found.values())
     return {
-        "allan": allan_rows(),
-        "dryden": dryden_rows(),
-        "engine": engine_rows(),
-        "margins": margin_rows(),
+        "calibration": calibration(part),
+        "constants": constants(found),
+        "explained": f"{least:.1%}",
+        "flights": str(FLIGHTS),
+        "duration": f"{DURATION_S:g}",
     }

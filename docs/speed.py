@@ -10,7 +10,7 @@ from argparse import Namespace
 from collections.abc import Sequence
 from importlib.util import find_spec
 
-from pages import ROOT, Part, Values, row
+from pages import ROOT, Part, Row, Values
 
 PEERS = ("crazyflow", "rotorpy", "norse", "snntorch")
 STATED = {
@@ -22,21 +22,21 @@ STATED = {
 """What a job may take, over a peer; the page is not made if it takes more than half as much again."""
 
 
-def table(rows: Sequence[dict[str, object]]) -> list[str]:
+def rows(found: Sequence[dict[str, object]]) -> list[Row]:
     """Rows of a benchmark.
 
     Raises:
         AssertionError: A stated ratio is missed by more than half.
     """
-    for each in rows:
+    for each in found:
         name = str(next(iter(each.values())))
         if name in STATED:
             column, most = STATED[name]
             assert float(str(each[column])) <= 1.5 * most, f"{name}: {column} {each[column]}, stated: {most}"
-    return [row(*each.values()) for each in rows]
+    return [tuple(each.values()) for each in found]
 
 
-def values(part: Part, given: Namespace) -> Values:
+def speed(part: Part, given: Namespace) -> Values:
     """Measure everything, one benchmark after the other."""
     missing = [name for name in PEERS if find_spec(name) is None]
     if missing or os.environ.get("OMP_NUM_THREADS") != "1":
@@ -45,7 +45,7 @@ def values(part: Part, given: Namespace) -> Values:
     from benchmarks import bench_filters, bench_simulation, bench_training
 
     return {
-        "steps": table(bench_simulation.measure(given.rounds)),
-        "estimators": table(bench_filters.measure()),
-        "training": table(bench_training.measure(given.rounds)),
+        "steps": rows(bench_simulation.measure(given.rounds)),
+        "estimators": rows(bench_filters.measure()),
+        "training": rows(bench_training.measure(given.rounds)),
     }

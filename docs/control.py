@@ -4,13 +4,15 @@ A run that is cut short resumes, as `quadsim bench` does.
 """
 
 from argparse import Namespace
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import pandas as pd
+from closed_loop import beside_crashes, by_cell, fly
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from pages import ROOT, Part, Values, row
+from pages import ROOT, Part, Row, Values
 
 from estimators import create
 from estimators.control.controller import SpikingController, make_controller
@@ -21,15 +23,11 @@ from estimators.networks.network import silenced
 from estimators.networks.weights_file import load_network, save_network
 from quadsim.control.attitude_controller import AttitudeController, MakeController
 from quadsim.flight.loop import FlightLoop
-from quadsim.flight.scenario import changed, load_scenario, scenario_names
 from quadsim.imu.spec import load_imu
 from quadsim.rotation import roll_pitch_from_quat
-from quadsim.runs.console import progress_bar
 from quadsim.vehicle import GRAVITY, Vehicle, load_vehicle
-from scenarios.bench.cell import FlightSettings, fly_cell
 from scenarios.bench.controllers import controller_of
 from scenarios.bench.results import Results
-from scenarios.bench.runner import bench
 
 Array = NDArray[np.float64]
 OUT = ROOT / "reports" / "control"
@@ -64,28 +62,28 @@ PROFILES = (32, 16)
 COLOURS = ("#000000", "#009e73", "#7a7a7a", "#0072b2")
 
 
-def cells(results: Results) -> dict[tuple[str, str], Any]:
-    """Each row by its scenario and title."""
-    titles = {name: title for title, name in NAMES.items()}
-    return {(each.scenario, titles[each.estimator]): each for each in results.rows}
+def flown(folder: str, names: Sequence[str], **how: Any) -> tuple[Results, pd.DataFrame, pd.DataFrame]:
+    """Flights, RMS tracking error [°], NaN where all crashed at once, and crashes: scenarios × contenders."""
+    results = fly(f"control-{folder}", names, seeds=SEEDS, **how)
+    rows = pd.DataFrame(results.rows).set_index(["scenario", "estimator"])
+    return (
+        results,
+        rows["attitude_deg"].astype(float).unstack(),
+        rows["crashes"].fillna(0).astype(int).unstack(),
+    )
 
 
-def shown(each: Any) -> str:
-    """Tracking error, and crashes."""
-    if each.attitude_deg is None:
-        return f"– ✕{each.crashes}"
-    return f"{each.attitude_deg:.2f}" + (f" ✕{each.crashes}" if each.crashes else "")
+def tracking_table(results: Results, titles: dict[str, str], heading: str) -> pd.DataFrame:
+    """Tracking error [°] and crashes by scenario, under the titles of contenders."""
+    rows = by_cell(results)
 
+    def cell(scenario: str, name: str) -> str:
+        return beside_crashes(rows[scenario, name].attitude_deg, rows[scenario, name].crashes)
 
-def scenario_rows(found: dict[tuple[str, str], Any]) -> Iterator[str]:
-    """Tracking by scenario."""
-    for scenario in scenario_names():
-        yield row(scenario, *(shown(found[scenario, title]) for title in NAMES))
-
-
-def tracking(found: dict[tuple[str, str], Any], title: str, scenarios: Sequence[str]) -> Array:
-    """RMS tracking error in scenarios [°]; NaN where all crashed at once."""
-    return np.array([found[s, title].attitude_deg or np.nan for s in scenarios], dtype=float)
+    return pd.DataFrame(
+        {heading: each, **{title: cell(each, name) for title, name in titles.items()}}
+        for each in results.scenarios
+    )
 
 
 def base_of(title: str) -> str:
@@ -93,36 +91,37 @@ def base_of(title: str) -> str:
     return TEACHER if NAMES[title].startswith("truth") else BASE
 
 
-def summary_rows(found: dict[tuple[str, str], Any]) -> Iterator[str]:
-    """What the figures of merit are for each controller."""
-    for title in NAMES:
-        base = base_of(title)
-        ratios = [
-            tracking(found, title, NOMINAL) / tracking(found, other, NOMINAL) for other in (base, TEACHER)
-        ]
-        crashes = {name: [found[s, name].crashes or 0 for s in scenario_names()] for name in (title, base)}
-        jitter = np.mean([found[s, title].jitter or np.nan for s in NOMINAL])
-        yield row(
-            title,
-            *(f"{np.median(each):.2f} ({np.nanmin(each):.2f} to {np.nanmax(each):.2f})" for each in ratios),
-            f"{np.nanmean(tracking(found, title, AGGRESSIVE)):.1f}",
-            sum(crashes[title]),
-            sum(max(ours - theirs, 0) for ours, theirs in zip(crashes[title], crashes[base], strict=True)),
-            f"{jitter:.1f}",
-        )
+def spread(ratios: pd.Series) -> str:
+    """Median and range."""
+    return f"{ratios.median(skipna=False):.2f} ({ratios.min():.2f} to {ratios.max():.2f})"
 
 
-def elsewhere_rows() -> Iterator[str]:
+def summary(results: Results, tracking: pd.DataFrame, crashes: pd.DataFrame) -> list[Row]:
+    """The figures of merit of each controller."""
+    rows, cells = [], by_cell(results)
+    nominal = tracking.loc[list(NOMINAL)]
+    for title, name in NAMES.items():
+        own, base = nominal[name], NAMES[base_of(title)]
+        jitter = np.mean([cells[each, name].jitter or np.nan for each in NOMINAL])
+        ratios = spread(own / nominal[base]), spread(own / nominal[NAMES[TEACHER]])
+        aggressive = f"{tracking.loc[list(AGGRESSIVE), name].mean():.1f}"
+        more = (crashes[name] - crashes[base]).clip(lower=0).sum()
+        rows.append((title, *ratios, aggressive, crashes[name].sum(), more, f"{jitter:.1f}"))
+    return rows
+
+
+def elsewhere() -> pd.DataFrame:
     """Tracking on the truth with airframes of another size, and crashes."""
-    titles = [title for title in NAMES if base_of(title) == TEACHER]
+    titles = {title: name for title, name in NAMES.items() if base_of(title) == TEACHER}
+    tables = []
     for vehicle in ELSEWHERE:
-        for name in ("hover", "step", "figure-8", "dryden-moderate"):
-            scenario = changed(load_scenario(name), {"vehicle": vehicle})
-            cells = [fly_cell(name, scenario, NAMES[title], FlightSettings(SEEDS)) for title in titles]
-            found = Results(
-                {name: scenario}, [cell.estimator for cell in cells], FlightSettings(SEEDS), cells
-            )
-            yield row(f"{vehicle}, {name}", *map(shown, found.rows))
+        scenarios = ("hover", "step", "figure-8", "dryden-moderate")
+        results, _, _ = flown(
+            vehicle, list(titles.values()), scenarios=scenarios, changes={"vehicle": vehicle}
+        )
+        shown = tracking_table(results, titles, "airframe, scenario")
+        tables.append(shown.assign(**{"airframe, scenario": f"{vehicle}, " + shown["airframe, scenario"]}))
+    return pd.concat(tables)
 
 
 def makers() -> dict[str, tuple[MakeController | None, Any]]:
@@ -171,25 +170,30 @@ def draw_steps(responses: dict[str, Array]) -> Figure:
     return figure
 
 
-def step_rows(responses: dict[str, Array]) -> Iterator[str]:
+def step_figures(responses: dict[str, Array]) -> list[Row]:
     """Rise, overshoot and what is left."""
+    rows = []
     for title, response in responses.items():
         mean = response.mean(axis=0)
-        rise = np.argmax(mean > 0.9 * STEP_DEG) / 200.0 if (mean > 0.9 * STEP_DEG).any() else np.nan
-        left = np.abs(mean[-40:] - STEP_DEG).mean()
-        yield row(title, f"{rise:.2f}", f"{max(mean.max() / STEP_DEG - 1.0, 0.0):.0%}", f"{left:.1f}")
+        risen = mean > 0.9 * STEP_DEG
+        rise = np.argmax(risen) / 200.0 if risen.any() else np.nan
+        left = f"{np.abs(mean[-40:] - STEP_DEG).mean():.1f}"
+        rows.append((title, rise, f"{max(mean.max() / STEP_DEG - 1.0, 0.0):.0%}", left))
+    return rows
 
 
-def chip_rows() -> Iterator[str]:
+def on_cores() -> list[Row]:
     """Cores of the chip that the controller takes, by its decay profiles."""
     config, tensors = load_network(SPIKING)
+    rows = []
     for profiles in (None, *PROFILES):
         cores = OnLoihi(config, share_profiles(tensors, profiles) if profiles else tensors).cores
         bits = sum(core.used()["synaptic bits"] for core in cores) / LIMITS["synaptic bits"]
-        yield row(f"{profiles}, shared" if profiles else "as trained", len(cores), f"{bits:.2f}")
+        rows.append((f"{profiles}, shared" if profiles else "as trained", len(cores), bits))
+    return rows
 
 
-def profile_rows() -> Iterator[str]:
+def with_profiles() -> list[Row]:
     """What few decay profiles cost the controller."""
     config, tensors = load_network(SPIKING)
     names = {"as trained": f"truth @ {SPIKING}"}
@@ -197,15 +201,12 @@ def profile_rows() -> Iterator[str]:
         file = OUT / f"profiles-{profiles}.safetensors"
         save_network(file, config, share_profiles(tensors, profiles))
         names[f"{profiles}, shared after the training"] = f"truth @ {file}"
-    found = bench(NOMINAL, ["truth", *names.values()], OUT / "profiles", FlightSettings(SEEDS))
-    tracked = {(each.scenario, each.estimator): each.attitude_deg or np.nan for each in found.rows}
-    crashed = dict.fromkeys(found.estimators, 0)
-    for each in found.rows:
-        crashed[each.estimator] += each.crashes or 0
-    for title, name in names.items():
-        ratios = [tracked[each, name] / tracked[each, "truth"] for each in NOMINAL]
-        ratio = f"{np.median(ratios):.2f} ({np.nanmin(ratios):.2f} to {np.nanmax(ratios):.2f})"
-        yield row(title, ratio, crashed[name], crashed["truth"])
+    _, tracking, crashes = flown("profiles", ["truth", *names.values()], scenarios=NOMINAL)
+    ratios = tracking.div(tracking["truth"], axis="index")
+    return [
+        (title, spread(ratios[name]), crashes[name].sum(), crashes["truth"].sum())
+        for title, name in names.items()
+    ]
 
 
 def silenced_left() -> str:
@@ -218,27 +219,23 @@ def silenced_left() -> str:
     return f"{np.abs(step_response(make, None)[:, -1] - STEP_DEG).mean():.0f}"
 
 
-def values(part: Part, given: Namespace) -> Values:
-    """Measure everything, and draw."""
+def controllers(part: Part, given: Namespace) -> Values:
+    """Fly every contender, and draw their steps."""
     OUT.mkdir(parents=True, exist_ok=True)
-    with progress_bar("controllers", "cells") as progress:
-        results = bench(scenario_names(), list(NAMES.values()), OUT, FlightSettings(SEEDS), progress=progress)
-    found = cells(results)
+    results, tracking, crashes = flown("suite", list(NAMES.values()))
     responses = {title: step_response(*made) for title, made in makers().items()}
     part.save(draw_steps(responses), "control-steps.png")
     return {
-        "scenarios": list(scenario_rows(found)),
-        "summary": list(summary_rows(found)),
-        "steps": list(step_rows(responses)),
-        "chip": list(chip_rows()),
-        "profiles": list(profile_rows()),
+        "scenarios": tracking_table(results, NAMES, "scenario"),
+        "summary": summary(results, tracking, crashes),
+        "steps": step_figures(responses),
+        "chip": on_cores(),
+        "profiles": with_profiles(),
         "silenced": silenced_left(),
         "neurons": " + ".join(str(getattr(load_network(SPIKING).config, n)) for n in ("encoding", "hidden")),
-        "elsewhere": list(elsewhere_rows()),
-        "columns": row("scenario", *NAMES),
-        "ruler": row(*["---"] * (1 + len(NAMES))),
+        "elsewhere": elsewhere(),
+        "flights": str(SEEDS * len(crashes)),
         "seeds": str(SEEDS),
-        "flights": str(SEEDS * len(scenario_names())),
         "nominal": ", ".join(NOMINAL),
         "aggressive": ", ".join(AGGRESSIVE),
     }
