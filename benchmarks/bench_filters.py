@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import ahrs
 import numpy as np
+import pandas as pd
 import torch
 from numpy.typing import NDArray
 from vqf import VQF
@@ -15,7 +16,7 @@ from vqf import VQF
 from estimators import create, names, run
 from estimators.networks.weights_file import load_network
 
-from .timing import Row, show, spent
+from .timing import spent
 
 RATE_HZ = 200.0
 Readings = tuple[NDArray, NDArray]
@@ -52,7 +53,7 @@ def torch_gru(gyro: NDArray, accel: NDArray) -> float:
         return best_of(lambda: network(x), 5) / gyro[..., 0].size * 1e9
 
 
-def measure(flights: int = 16, seconds: float = 100.0) -> list[Row]:
+def measure(flights: int = 16, seconds: float = 100.0) -> pd.DataFrame:
     """Estimators and peers: a sample of a batch, and that over VQF's C++."""
     gyro, accel = motion(flights, seconds)
     few = slice(0, 2000)
@@ -70,11 +71,8 @@ def measure(flights: int = 16, seconds: float = 100.0) -> list[Row]:
     found[f"*PyTorch, the GRU of att-rnn-paper, {flights} sequences*"] = torch_gru(
         gyro[:, few], accel[:, few]
     )
-    return [
-        {"estimator": name, "run_ns": f"{ns:.0f}", "run_over_vqf": f"{ns / cpp:.2f}"}
-        for name, ns in found.items()
-    ]
+    return pd.DataFrame({"run_ns": found}).assign(run_over_vqf=lambda table: table["run_ns"] / cpp)
 
 
 if __name__ == "__main__":
-    show(measure())
+    print(measure().round(2))

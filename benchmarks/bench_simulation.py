@@ -12,10 +12,12 @@ os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_
 os.environ.setdefault("SCIPY_ARRAY_API", "1")  # crazyflow refuses to be imported without it
 
 from collections.abc import Callable
+from importlib.util import find_spec
 
 import gymnasium
 import mujoco
 import numpy as np
+import pandas as pd
 
 import estimators
 import quadsim  # noqa: F401  registers the environment
@@ -28,9 +30,10 @@ from quadsim.motion.engine import vehicle_model
 from quadsim.vehicle import load_vehicle
 from scenarios.bench.flight_log import fly
 
-from .timing import Row, in_turns, show, spent
+from .timing import in_turns, spent
 
 RATE = 200.0
+CELLS = ("truth", "mahony", "ekf-drag", "att-snn-loihi")
 
 Job = tuple[Callable[[], object], float]
 """What is timed, and how many steps of a vehicle it makes."""
@@ -45,49 +48,32 @@ def raw_steps(model: mujoco.MjModel, data: mujoco.MjData, steps: int) -> Callabl
     return work
 
 
-def rotorpy_flight(duration: float) -> Callable[[], object] | None:
-    try:
-        from rotorpy.controllers.quadrotor_control import SE3Control
-        from rotorpy.environments import Environment
-        from rotorpy.trajectories.circular_traj import ThreeDCircularTraj
-        from rotorpy.vehicles.hummingbird_params import quad_params
-        from rotorpy.vehicles.multirotor import Multirotor
-    except ImportError:
-        return None
+def rotorpy_flight(duration: float) -> Callable[[], object]:
+    from rotorpy.controllers.quadrotor_control import SE3Control
+    from rotorpy.environments import Environment
+    from rotorpy.trajectories.circular_traj import ThreeDCircularTraj
+    from rotorpy.vehicles.hummingbird_params import quad_params
+    from rotorpy.vehicles.multirotor import Multirotor
 
     def work() -> None:
-        Environment(
-            vehicle=Multirotor(quad_params),
-            controller=SE3Control(quad_params),
-            trajectory=ThreeDCircularTraj(radius=np.array([2, 2, 0])),
-            sim_rate=int(RATE),
-        ).run(
-            t_final=duration, use_mocap=False, terminate=False, plot=False, animate_bool=False, verbose=False
-        )
+        path = ThreeDCircularTraj(radius=np.array([2, 2, 0]))
+        flown = Environment(Multirotor(quad_params), SE3Control(quad_params), path, sim_rate=int(RATE))
+        unwanted = dict.fromkeys(("use_mocap", "terminate", "plot", "animate_bool", "verbose"), False)
+        flown.run(t_final=duration, **unwanted)
 
     return work
 
 
-def crazyflow_batch(n: int, integrator: str, steps: int) -> Callable[[], object] | None:
+def crazyflow_batch(n: int, integrator: str, steps: int) -> Callable[[], object]:
     """Its own position controller and first-principles model of a Crazyflie, float32, nothing recorded."""
-    try:
-        import jax
-        from crazyflow.control import Control
-        from crazyflow.dynamics import Dynamics
-        from crazyflow.sim import Sim
-    except ImportError:
-        return None
-    sim = Sim(
-        n_worlds=n,
-        dynamics=Dynamics.first_principles,
-        control=Control.state,
-        integrator=integrator,
-        freq=int(RATE),
-        state_freq=int(RATE),
-        attitude_freq=int(RATE),
-        body_rate_freq=int(RATE),
-        force_torque_freq=int(RATE),
-    )
+    import jax
+    from crazyflow.control import Control
+    from crazyflow.dynamics import Dynamics
+    from crazyflow.sim import Sim
+
+    rates = ("freq", "state_freq", "attitude_freq", "body_rate_freq", "force_torque_freq")
+    model = {"dynamics": Dynamics.first_principles, "control": Control.state, "integrator": integrator}
+    sim = Sim(n_worlds=n, **model, **dict.fromkeys(rates, int(RATE)))
     command = np.zeros((n, 1, 16), np.float32)
     command[..., 2] = 1.0
 
@@ -138,39 +124,35 @@ def all_jobs() -> dict[str, Job]:
         "the same, engine = mujoco": (lambda: simulate_flights(on_mujoco, seeds, 250, RATE), 16_000),
         "environment, n = 1": environment(1, 4000),
         "environment, n = 64": environment(64, 2000),
-        "benchmark cell, truth": cell("truth"),
-        "benchmark cell, mahony": cell("mahony"),
-        "benchmark cell, ekf-drag": cell("ekf-drag"),
-        "benchmark cell, att-snn-loihi": cell("att-snn-loihi"),
+        **{f"benchmark cell, {name}": cell(name) for name in CELLS},
     }
-    peers = {
-        "crazyflow, RK4, n = 64": (crazyflow_batch(64, "rk4", 1000), 64_000),
-        "crazyflow, RK4, n = 1024": (crazyflow_batch(1024, "rk4", 100), 102_400),
-        "crazyflow, Euler, n = 1024": (crazyflow_batch(1024, "euler", 100), 102_400),
-        "rotorpy: controller, IMU, recording": (rotorpy_flight(0.5), 0.5 * RATE),
-    }
-    return jobs | {name: (work, steps) for name, (work, steps) in peers.items() if work is not None}
+    if find_spec("crazyflow"):
+        for integrator, n, steps in (("RK4", 64, 1000), ("RK4", 1024, 100), ("Euler", 1024, 100)):
+            work = crazyflow_batch(n, integrator.lower(), steps)
+            jobs[f"crazyflow, {integrator}, n = {n}"] = work, n * steps
+    if find_spec("rotorpy"):
+        jobs["rotorpy: controller, IMU, recording"] = rotorpy_flight(0.5), 0.5 * RATE
+    return jobs
 
 
-def measure(rounds: int = 9, jobs: dict[str, Job] | None = None) -> list[Row]:
+def measure(rounds: int = 9, jobs: dict[str, Job] | None = None) -> pd.DataFrame:
     """Medians of wall and CPU time of a step [µs], and ratios of CPU time."""
     jobs = jobs or all_jobs()
     for work, _ in jobs.values():
         work()  # compile and warm up
     taken = in_turns({name: lambda work=work: spent(work) for name, (work, _) in jobs.items()}, rounds)
-    times = {name: each / jobs[name][1] * 1e6 for name, each in taken.items()}
-    raw, bulk = (times[name][:, 1] for name in list(jobs)[:2])
-    return [
-        {
-            "job": name,
-            "wall_us": f"{np.median(each[:, 0]):.2f}",
-            "cpu_us": f"{np.median(each[:, 1]):.2f}",
-            "over_raw": f"{np.median(each[:, 1] / raw):.2f}",
-            "over_bulk": f"{np.median(each[:, 1] / bulk):.2f}",
-        }
-        for name, each in times.items()
-    ]
+    wall, cpu = (
+        pd.DataFrame({name: each[:, k] / jobs[name][1] * 1e6 for name, each in taken.items()}) for k in (0, 1)
+    )
+    raw, bulk = (cpu[name] for name in list(jobs)[:2])
+    found = {
+        "wall_us": wall,
+        "cpu_us": cpu,
+        "over_raw": cpu.div(raw, axis=0),
+        "over_bulk": cpu.div(bulk, axis=0),
+    }
+    return pd.DataFrame({name: each.median() for name, each in found.items()})
 
 
 if __name__ == "__main__":
-    show(measure())
+    print(measure().round(2))

@@ -15,6 +15,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import torch
 from torch import Tensor
 
@@ -22,7 +23,7 @@ from estimators.networks.layer_parameters import DECAY, NEURON_CONSTANTS, THRESH
 from training.fused import Fused
 from training.models import quantise, quantise_weights
 
-from .timing import Row, in_turns, show, spent
+from .timing import in_turns, spent
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "support"))
 from plain_network import forward  # pyright: ignore[reportMissingImports]  (a folder of the tests)
@@ -50,17 +51,17 @@ def inputs(n: int, steps: int) -> Tensor:
     return torch.tensor(np.round(np.random.default_rng(1).normal(0, 0.3, (n, steps, 6)) * 1024) / 1024)
 
 
-def fused(n: int, steps: int, quantised: bool = True, threads: int = 1) -> Network:
+def fused(quantised: bool = True, threads: int = 1) -> Network:
     weights, kernels = parameters(), Fused(quantised, threads=threads)
     return lambda x: kernels.forward(x, weights)[0]
 
 
-def plain(n: int, steps: int) -> Network:
+def plain() -> Network:
     weights = parameters()
     return lambda x: forward(x.float(), weights)[0]
 
 
-def norse(n: int, steps: int) -> Network:
+def norse() -> Network:
     """Norse's cells with dt = 1; it multiplies currents by 1 - τ_mem, which the weights make up for."""
     from norse.torch import LICell, LIFCell, LIFParameters, LIFRecurrentCell, LIParameters
 
@@ -86,7 +87,7 @@ def norse(n: int, steps: int) -> Network:
     def run(x: Tensor) -> Tensor:
         states, out = [None, None, None], []
         drive = (x.float() @ w_in.T).unbind(1)  # a slice a step would make the backward quadratic
-        for t in range(steps):
+        for t in range(x.shape[1]):
             s, states[0] = encoding(drive[t], states[0])
             s, states[1] = hidden(s, states[1])
             y, states[2] = readout(s @ w_out.T, states[2])
@@ -96,7 +97,7 @@ def norse(n: int, steps: int) -> Network:
     return run
 
 
-def snntorch(n: int, steps: int) -> Network:
+def snntorch() -> Network:
     import snntorch as library
 
     w = parameters()
@@ -113,10 +114,10 @@ def snntorch(n: int, steps: int) -> Network:
 
     def run(x: Tensor) -> Tensor:
         drive = (x.float() @ w.w_in.T).unbind(1)
-        u0 = v0 = s1 = u1 = v1 = torch.zeros(n, HIDDEN)
-        u2 = v2 = torch.zeros(n, 2)
+        u0 = v0 = s1 = u1 = v1 = torch.zeros(len(x), HIDDEN)
+        u2 = v2 = torch.zeros(len(x), 2)
         out = []
-        for t in range(steps):
+        for t in range(x.shape[1]):
             s0, u0, v0 = encoding(drive[t], u0, v0)
             s1, u1, v1 = hidden(s0 @ w.w_ff.T + s1 @ w.w_rec.T, u1, v1)
             _, u2, v2 = readout(s1 @ w.w_out.T, u2, v2)
@@ -126,10 +127,10 @@ def snntorch(n: int, steps: int) -> Network:
     return run
 
 
-VARIANTS: dict[str, Callable[[int, int], Network]] = {
+VARIANTS: dict[str, Callable[[], Network]] = {
     FUSED: fused,
-    THREADED: lambda n, steps: fused(n, steps, threads=2),
-    "fused, floats": lambda n, steps: fused(n, steps, quantised=False),
+    THREADED: lambda: fused(threads=2),
+    "fused, floats": lambda: fused(quantised=False),
     PLAIN: plain,
     SNNTORCH: snntorch,
     NORSE: norse,
@@ -156,12 +157,12 @@ def dense_floor() -> tuple[float, float]:
 def same_outputs(variant: str, n: int = 4, steps: int = 200) -> bool:
     """Whether a variant computes what the fused kernel does, on a short batch."""
     x, early = inputs(n, steps), EARLY.get(variant, 0)
-    found = VARIANTS[variant](n, steps)(x).detach()
-    expected = fused(n, steps, quantised="quantised" in variant)(x).detach()
+    found = VARIANTS[variant]()(x).detach()
+    expected = fused(quantised="quantised" in variant)(x).detach()
     return bool((found[:, : steps - early] - expected[:, early:]).abs().max() < 1e-4)
 
 
-def measure(rounds: int = 5) -> list[Row]:
+def measure(rounds: int = 5) -> pd.DataFrame:
     """Let all variants that are installed take turns; a row of the table for each.
 
     Raises:
@@ -174,22 +175,13 @@ def measure(rounds: int = 5) -> list[Row]:
             continue
         if not same_outputs(name):
             raise ValueError(f"{name}: its outputs differ from the fused kernel's")
-        network = variant(BATCH, STEPS)
+        network = variant()
         step(network, x)
         jobs[name] = lambda network=network: spent(lambda: step(network, x))
     times = in_turns(jobs | {FLOOR: dense_floor}, rounds)
-    medians = {name: np.median(each, axis=0) for name, each in times.items()}
-    return [
-        {
-            "variant": name,
-            "wall_s": round(float(wall), 4),
-            "cpu_s": round(float(cpu), 4),
-            "wall_ratio": round(float(wall / medians[FUSED][0]), 2),
-            "cpu_ratio": round(float(cpu / medians[FUSED][1]), 2),
-        }
-        for name, (wall, cpu) in medians.items()
-    ]
+    found = pd.DataFrame({name: np.median(each, axis=0) for name, each in times.items()}, ["wall", "cpu"]).T
+    return found.add_suffix("_s").join((found / found.loc[FUSED]).add_suffix("_ratio"))
 
 
 if __name__ == "__main__":
-    show(measure())
+    print(measure().round(4))

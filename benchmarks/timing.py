@@ -1,15 +1,10 @@
 """Jobs that take turns, so that a machine that slows down for a while slows all of them."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
-
-Row = dict[str, object]
-"""Column to value."""
 
 
 def spent(work: Callable[[], object]) -> tuple[float, float]:
@@ -23,11 +18,3 @@ def in_turns(jobs: Mapping[str, Callable[[], tuple[float, float]]], rounds: int)
     """Wall and CPU time (rounds, 2) [s] of jobs, each of which says what it took."""
     turns = [[job() for job in jobs.values()] for _ in range(rounds)]
     return dict(zip(jobs, np.array(turns).transpose(1, 0, 2), strict=True))
-
-
-def show(rows: Sequence[Row]) -> None:
-    """Print rows under the names of their columns."""
-    table = Table(*rows[0])
-    for each in rows:
-        table.add_row(*map(str, each.values()))
-    Console(width=120).print(table)

@@ -7,10 +7,10 @@ It measures speed on one thread, beside other libraries: `pip install crazyflow 
 import os
 import sys
 from argparse import Namespace
-from collections.abc import Sequence
 from importlib.util import find_spec
 
-from pages import ROOT, Part, Row, Values
+import pandas as pd
+from pages import ROOT, Part, Values, confirmed
 
 PEERS = ("crazyflow", "rotorpy", "norse", "snntorch")
 STATED = {
@@ -22,18 +22,16 @@ STATED = {
 """What a job may take, over a peer; the page is not made if it takes more than half as much again."""
 
 
-def rows(found: Sequence[dict[str, object]]) -> list[Row]:
-    """Rows of a benchmark.
+def kept(found: pd.DataFrame) -> pd.DataFrame:
+    """A benchmark's table whose stated ratios are kept.
 
     Raises:
-        AssertionError: A stated ratio is missed by more than half.
+        ValueError: A stated ratio is missed by more than half.
     """
-    for each in found:
-        name = str(next(iter(each.values())))
-        if name in STATED:
-            column, most = STATED[name]
-            assert float(str(each[column])) <= 1.5 * most, f"{name}: {column} {each[column]}, stated: {most}"
-    return [tuple(each.values()) for each in found]
+    for name, (column, most) in STATED.items():
+        if name in found.index:
+            confirmed(f"{name}: {column}", found.loc[name, column], 1.5 * most)
+    return found
 
 
 def speed(part: Part, given: Namespace) -> Values:
@@ -44,8 +42,10 @@ def speed(part: Part, given: Namespace) -> Values:
     sys.path.insert(0, str(ROOT))
     from benchmarks import bench_filters, bench_simulation, bench_training
 
+    estimators = kept(bench_filters.measure())
+    training = bench_training.measure(given.rounds).map("{:.3g}".format)
     return {
-        "steps": rows(bench_simulation.measure(given.rounds)),
-        "estimators": rows(bench_filters.measure()),
-        "training": rows(bench_training.measure(given.rounds)),
+        "steps": list(kept(bench_simulation.measure(given.rounds)).itertuples(name=None)),
+        "estimators": [(name, f"{ns:.0f}", ratio) for name, ns, ratio in estimators.itertuples(name=None)],
+        "training": list(training.itertuples(name=None)),
     }

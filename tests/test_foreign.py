@@ -30,7 +30,7 @@ def foreign():
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(DOCS)
         yield import_module("foreign")
-    for name in ("foreign", "simulated", "pages"):
+    for name in ("errors", "foreign", "simulated", "pages"):
         sys.modules.pop(name, None)
 
 
@@ -121,8 +121,11 @@ def test_in_hover_the_accelerometer_reads_gravity_and_a_finished_flight_is_not_s
 
 
 def test_the_truth_has_no_error_and_a_level_guess_none_in_hover(foreign, hovering, tmp_path, monkeypatch):
-    monkeypatch.setattr(foreign, "AIRFRAMES", {"hummingbird": foreign.AIRFRAMES["hummingbird"]})
-    assert foreign.foreign_error(lambda _: create("truth", 200.0), tmp_path) == 0.0
-    cell = foreign.foreign_cell("att-rnn", lambda _: create("att-rnn", 200.0), tmp_path)
+    errors = import_module("errors")
+    monkeypatch.setattr(errors, "AIRFRAMES", ["hummingbird"])
+    made = {name: create(name, 200.0) for name in ("truth", "att-rnn")}
+    found = errors.on_rotorpy(lambda vehicle: made, tmp_path, settle_s=0.1)
+    assert found.mean_deg["truth", "unknown"] == 0.0
+    cell = errors.with_silenced(found.loc["att-rnn", "unknown"])
     assert cell.endswith("(silenced 0.00)")
     assert float(cell.split()[0]) > 0.0

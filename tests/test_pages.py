@@ -4,6 +4,7 @@ import sys
 from importlib import import_module
 from pathlib import Path
 
+import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
@@ -34,13 +35,13 @@ def part(tmp_path, pages):
     (tmp_path / "assets/weights/a.safetensors").write_bytes(b"weights")
     part = pages.Part("speed", tmp_path)
     part.save(Figure(), "one.png")
-    part.write({"text": "half", "rows": ["a", "b"]})
+    part.write({"text": "half", "rows": [("a", 1, 0.5), ("b", 2, float("nan"))]})
     return part
 
 
 def test_a_part_ends_with_its_command_and_the_commit_that_made_it(pages, part, capsys):
     text = part.path.read_text()
-    assert text.startswith("# One\n\n<!-- part speed -->\n\nhalf: D(x, d), a\nb\n")
+    assert text.startswith("# One\n\n<!-- part speed -->\n\nhalf: D(x, d), | a | 1 | 0.50 |\n| b | 2 | – |\n")
     stamp = pages.STAMP.fullmatch(text.splitlines(keepends=True)[-1])
     assert stamp["command"] == "python docs/pages.py speed"
     assert len(stamp["commit"]) >= 7
@@ -96,13 +97,14 @@ def test_a_part_whose_code_or_assets_changed_is_listed_and_no_failure(
 
 def test_a_part_is_replaced_and_the_rest_of_its_page_stays(pages, tmp_path):
     (tmp_path / "docs/parts").mkdir(parents=True)
-    (tmp_path / "docs/loihi.py").write_text("x = 1\n")
+    (tmp_path / "docs/layers.py").write_text("x = 1\n")
     (tmp_path / "docs/parts/loihi.md").write_text("{rows}\n")
     old, part = pages._stamp("x", "0", "0", "0"), pages.Part("loihi", tmp_path)
     after = f"between\n<!-- part deploy -->\nothers\n{old}"
     part.path.write_text(f"before\n<!-- part loihi -->\nold\n{old}{after}")
-    part.write({"rows": ["new", "rows"]})
-    assert part.split()[:2] == ("before\n<!-- part loihi -->\n", "\nnew\nrows\n\n")
+    part.write({"rows": pd.DataFrame({"new": [1.0], "rows": ["two"]})})
+    table = "| new | rows |\n|---|---|\n| 1.00 | two |"
+    assert part.split()[:2] == ("before\n<!-- part loihi -->\n", f"\n{table}\n\n")
     assert part.path.read_text().endswith(after)
     part.path.write_text(part.path.read_text().replace("before", "changed").replace("others", "more"))
     assert pages.check([part]) == []
@@ -110,8 +112,9 @@ def test_a_part_is_replaced_and_the_rest_of_its_page_stays(pages, tmp_path):
     assert part.split()[2] is None
 
 
-def test_every_part_has_a_script_and_none_was_edited(pages):
+def test_every_part_has_a_function_and_none_was_edited(pages):
     assert pages.check([pages.Part(name) for name in pages.PARTS]) == []
     for _, script in pages.PARTS.values():
-        assert "def values(part: Part, given: Namespace) -> Values:" in (DOCS / f"{script}.py").read_text()
+        file, function = script.split(".")
+        assert f"def {function}(part: Part, given: Namespace) -> Values:" in (DOCS / f"{file}.py").read_text()
     assert {path.stem for path in (DOCS / "parts").glob("*.md")} == pages.PARTS.keys()

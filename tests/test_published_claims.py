@@ -12,7 +12,7 @@ from estimators import create
 from estimators.evaluation.flights import load_flights
 
 DOCS = Path(__file__).parents[1] / "docs"
-SCRIPTS = ("deploy", "training_page", "control_page", "cortex", "simulated", "pages", "foreign")
+SCRIPTS = ("cortex", "layers", "errors", "simulated", "pages", "foreign")
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def test_a_number_beyond_its_claim_is_an_error_that_says_it(script, value):
 
 
 def test_the_page_of_microcontrollers_refuses_outputs_that_are_not_the_emulators(script, flight, monkeypatch):
-    deploy = script("deploy")
+    deploy = script("cortex")
     gyro, accel = flight.gyro[0, :50], flight.accel[0, :50]
     ours = deploy.emulated("att-snn", gyro, accel)
     found = iter((ours, np.nextafter(ours, 2.0)))
@@ -50,15 +50,15 @@ def test_the_page_of_microcontrollers_refuses_outputs_that_are_not_the_emulators
         "measured",
         lambda *given: (deploy.Size(1, 1, 1), deploy.Run(next(found), np.ones((50, 3), np.int64))),
     )
-    rows = deploy.rows(Path())
-    assert next(rows).endswith("| 0 of 150 |")
+    rows = deploy.counts(Path())
+    assert next(rows)[-1] == "0 of 150"
     with pytest.raises(ValueError, match=r"att-snn on Cortex-M7: outputs.*: 150, should be at most 0"):
         next(rows)
 
 
 def test_the_page_of_training_compares_floats_with_the_chip(script, make_flights, monkeypatch):
     pytest.importorskip("rotorpy")
-    page = script("training_page")
+    page = script("layers")
     flights = load_flights([make_flights(flights=1, seconds=2.0)])
     assert page.cost_of_rounding(flights) < 1.0
     monkeypatch.setattr(page, "create", lambda name, **_: page.without_rounding(page.NAME))
