@@ -1,7 +1,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: install tools run test check docs clean
+.PHONY: install tools run test check docs video clean
 
 run: install  ## Generate flights, score the estimators, fly them through four scenarios, write the report
 	$(BIN)/quadsim demo --out reports/demo
@@ -33,6 +33,14 @@ tools: .venv/tools  ## The same, the trainer, and what tests and pages need
 
 docs: tools  ## The site, into reports/site; a broken link is an error
 	$(BIN)/mkdocs build --strict --quiet
+
+video: FFMPEG = $$($(BIN)/python -c 'import imageio_ffmpeg; print(imageio_ffmpeg.get_ffmpeg_exe())') -v error -y
+video: tools  ## The README's animation, and the site's video with its first picture
+	$(BIN)/quadsim fly figure-8 --estimator att-snn-loihi --set duration_s=10 --video --out reports/figure-8
+	$(FFMPEG) -i reports/figure-8/flight.mp4 -vf scale=800:-2 -an -c:v libx264 -preset slow -crf 31 -pix_fmt yuv420p \
+		-movflags +faststart -map_metadata -1 docs/img/flight.mp4
+	$(FFMPEG) -ss 2 -i docs/img/flight.mp4 -frames:v 1 -q:v 4 docs/img/flight.jpg
+	$(FFMPEG) -ss 1 -t 4 -i docs/img/flight.mp4 -vf fps=12,scale=720:-2 -c:v libwebp_anim -quality 55 -loop 0 docs/img/flight.webp
 
 clean:
 	rm -rf .venv reports

@@ -1,6 +1,7 @@
 """The spiking circuit that follows turns, part by part, at home and elsewhere."""
 
 from argparse import Namespace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -41,11 +42,7 @@ SETS = {
     "Crazyflie, wind, rough IMU": ("robust", {"vehicle": "crazyflie"}, 8602),
     "turbulence, uncalibrated IMU": ("turbulent", {"imu": "raw"}, 8603),
     "steady wind": ("windy", {}, 8606),
-    "Crazyflie of any mass and drag, uncalibrated IMU": (
-        "wide",
-        {"vehicle": "crazyflie", "imu": "raw"},
-        8613,
-    ),
+    "any Crazyflie, uncalibrated IMU": ("wide", {"vehicle": "crazyflie", "imu": "raw"}, 8613),
     "hand-held, near level": ("carried", {}, 8612),
     "hand-held, any attitude": ("hand-held", {}, 8608),
     "hand-held, tumbling": ("tumbling", {}, 8611),
@@ -59,11 +56,6 @@ GATE_INPUTS = "gate inputs"
 """What the code calls felt: the signals that open a gate."""
 SHOWN = 8
 """Neurons of a kind in the raster, those that spike most."""
-
-
-def spiking(p: Parameters, steps: int = 4) -> NetworkEstimator:
-    """The circuit on spikes."""
-    return circuit_estimator("att-snn", p, steps)
 
 
 def held(p: Parameters, flights: Flights) -> Parameters:
@@ -82,10 +74,11 @@ def compared(home: Flights) -> dict[str, AttitudeEstimator]:
     """What the table compares, in the order of its columns."""
     config, p = load_circuit(NAME)
     first = untrained()._replace(scale=np.array(SCALE))
+    spiking = partial(circuit_estimator, NAME)
     return {
         "untrained, floats": circuit_estimator("att-rnn", first),
-        "untrained, spikes": spiking(first),
-        "trained, gates fixed": spiking(held(p, home)),
+        "untrained, spikes": spiking(first, 4),
+        "trained, gates fixed": spiking(held(p, home), 4),
         FLOATS: circuit_estimator("att-rnn", p),
         SPIKES: spiking(p, config.steps_per_sample),
         "2 steps a sample": spiking(p, 2),
@@ -115,15 +108,6 @@ def errors_by_set(given: Namespace) -> dict[str, pd.DataFrame]:
     return {name: each.loc[list(made)] for name, each in found.items()}
 
 
-def digits(n: int) -> Array:
-    """Balanced ternary digits of a number of quanta, least first."""
-    found = []
-    for _ in range(ANGLE_DIGITS):
-        found.append((n + 1) % 3 - 1)
-        n = (n - found[-1]) // 3
-    return np.array(found)
-
-
 def turned() -> tuple[Array, Array, Array, dict[str, Array]]:
     """The circuit in a turn of 90° about the roll axis, after two seconds at rest.
 
@@ -142,6 +126,7 @@ def turned() -> tuple[Array, Array, Array, dict[str, Array]]:
     t = np.arange(-2.0, 1.5, 1 / RATE_HZ)
     rate = np.where((t > 0.25) & (t < 0.75), np.pi, 0.0)
     roll = np.cumsum(rate) / RATE_HZ
+    powers = 3 ** np.arange(ANGLE_DIGITS)  # of balanced ternary digits, whose sum is the number of all ones
     shown: dict[str, list[Array]] = {name: [] for name in ("gyroscope", "vector", "innovations", "gates")}
     estimated = []
     for k in range(len(t)):
@@ -149,7 +134,7 @@ def turned() -> tuple[Array, Array, Array, dict[str, Array]]:
         encode_sample(np.array([rate[k], 0.0, 0.0]), accel, SCALING, numbers)
         for _ in range(steps):
             step(numbers, state, circuit, steps, spikes)
-            shown["gyroscope"].append(digits(int(spikes.angle[0])))
+            shown["gyroscope"].append((int(spikes.angle[0]) + powers.sum()) // powers % 3 - 1)
             shown["vector"].append(spikes.vectors[:, OUTPUT].copy())
             shown["innovations"].append(state.passed.T.ravel().copy())
             shown["gates"].append(spikes.gates.copy())

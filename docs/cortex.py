@@ -140,14 +140,13 @@ def _run(command: list[Any], folder: Path | None = None) -> str:
 
 def networks() -> list[str]:
     """The shipped networks in the chip's integers."""
-    return [name for name in [*shipped_names(), *shipped_controllers()] if _on_chip(name)]
-
-
-def _on_chip(name: str) -> bool:
-    if is_circuit(name):
-        return True
-    config, _ = load_network(name)
-    return config.model == "att-snn" and config.quantised and config.recurrent_delay == 1
+    found = [name for name in shipped_names() if is_circuit(name)]
+    for name in [*shipped_names(), *shipped_controllers()]:
+        if name not in found:
+            config, _ = load_network(name)
+            if config.model == "att-snn" and config.quantised and config.recurrent_delay == 1:
+                found.append(name)
+    return found
 
 
 def samples(data: Path) -> tuple[Array, Array]:

@@ -47,7 +47,6 @@ HOME, ROTORPY, BROAD, PHANTOM4 = "Hummingbird", "RotorPy", "BROAD", "Phantom 4"
 FOLDERS = {BROAD: "broad", PHANTOM4: "phantom4"}
 SKIP_S = {BROAD: 3.0, PHANTOM4: 5.0}
 """Time at the start of a recording that is not scored [s]."""
-WITHIN_DEG = 180.0
 VQF_DEFAULTS = {
     "tauAcc": 3.0,
     "biasForgettingTime": 100.0,
@@ -75,12 +74,10 @@ def on_flights(
     how = {"initial": ["unknown"], "settle_s": 1.0} | how
     parts = [evaluate(each.drop_vars("rotor_vel"), made(vehicle_of(each)), **how) for each in datasets]
     errors = {key: np.concatenate([part.sequences[key] for part in parts]) for key in parts[0].sequences}
-    found = (
-        pd.concat([part.table for part in parts]).groupby(["estimator", "initial"])[["silenced_deg"]].mean()
-    )
-    return found.assign(
-        sequences=pd.Series(errors), mean_deg=pd.Series({k: v.mean() for k, v in errors.items()})
-    )
+    tables = pd.concat([part.table for part in parts]).groupby(["estimator", "initial"])
+    sequences = pd.Series(errors)
+    columns = {"sequences": sequences, "mean_deg": sequences.map(np.mean)}
+    return pd.DataFrame({**columns, "silenced_deg": tables["silenced_deg"].mean()})
 
 
 def on_rotorpy(
@@ -113,7 +110,7 @@ def recorded(folder: Path) -> dict[str, list[xr.Dataset]]:
 def on_recordings(made: Made, folder: Path) -> dict[str, LogScores]:
     """Estimators on both sets, from an unknown start."""
     return {
-        name: score_logs(logs, made, within_deg=WITHIN_DEG, skip_s=SKIP_S[name])
+        name: score_logs(logs, made, within_deg=180.0, skip_s=SKIP_S[name])
         for name, logs in recorded(folder).items()
     }
 
@@ -238,17 +235,11 @@ def believed_in_flight(recipe: str, vehicle: str, seed: int, data: Path) -> Row:
 def recordings(part: Part, given: Namespace) -> Values:
     """Errors on real recordings of filters that need no vehicle and of networks, and what imm believes."""
     scores = on_recordings(made_of(SCORED, RATE_HZ) | package_vqf(), given.recordings)
-    rows = [
-        believed(
-            f"{name}, real",
-            [
-                (each, log.truth[None], log.counted[None])
-                for log in its.logs.values()
-                for each in log.beliefs.values()
-            ],
-        )
-        for name, its in scores.items()
-    ]
+    rows = []
+    for name, its in scores.items():
+        logs = its.logs.values()
+        found = [(log.beliefs["imm"], log.truth[None], log.counted[None]) for log in logs]
+        rows.append(believed(f"{name}, real", found))
     values: dict[str, Value] = {
         "models": " | ".join(MODELS),
         "believed": [*rows, *(believed_in_flight(*each, given.data) for each in SIMULATED)],

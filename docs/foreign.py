@@ -45,6 +45,17 @@ AIRFRAMES: dict[str, dict[str, Any]] = {
 }
 """RotorPy's constants of each airframe."""
 
+RECORDED = {
+    "position": "x",
+    "velocity": "v",
+    "quat": "q",
+    "ang_vel": "w",
+    "wind": "wind",
+    "rotor_vel": "rotor_speeds",
+    "accel": "accel",
+}
+"""Arrays of a flight, and what RotorPy's state calls them; the acceleration is in the world."""
+
 
 class Plan(NamedTuple):
     """A flight."""
@@ -138,21 +149,10 @@ def fly(plan: Plan, duration_s: float = DURATION_S, warmup_s: float = WARMUP_S) 
         command = controller.update(t, state, reference)
         rows.append(state | {"accel": multirotor.statedot(state, command, dt)["vdot"]})
         state = multirotor.step(state, command, dt)
-    x, v, q, w, wind_W, rotor_vel, accel_W = (
-        np.array([row[key] for row in rows[warmup:]])
-        for key in ("x", "v", "q", "w", "wind", "rotor_speeds", "accel")
-    )
-    quat = wxyz_from_xyzw(q)
-    force = quat_rotate_inverse(quat, accel_W + np.array([0.0, 0.0, GRAVITY]))
-    return {
-        "position": x,
-        "velocity": v,
-        "quat": quat,
-        "ang_vel": w,
-        "specific_force": force,
-        "wind": wind_W,
-        "rotor_vel": rotor_vel,
-    }
+    found = {name: np.array([row[key] for row in rows[warmup:]]) for name, key in RECORDED.items()}
+    found["quat"] = wxyz_from_xyzw(found["quat"])
+    accel_W = found.pop("accel") + np.array([0.0, 0.0, GRAVITY])
+    return found | {"specific_force": quat_rotate_inverse(found["quat"], accel_W)}
 
 
 def hover(constants: Mapping[str, Any], position: Array) -> dict[str, Array]:

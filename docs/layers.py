@@ -7,7 +7,6 @@ import numpy as np
 import pandas as pd
 from errors import on_flights, on_rotorpy, with_silenced
 from foreign import DESCRIPTION
-from numpy.typing import NDArray
 from pages import Part, Row, Values, confirmed, span
 from simulated import simulated
 
@@ -25,14 +24,14 @@ from estimators.networks.decay_profiles import share_profiles
 from estimators.networks.forward import OnLoihi, real_weights
 from estimators.networks.network import NetworkEstimator, Spiking, silenced
 from estimators.networks.weights_file import NetworkConfig, Tensors, load_network, parameters, shipped_names
-from quadsim.estimator import AttitudeEstimator
 from training.config import make_config
 from training.optim import LOOKAHEAD_ALPHA, LOOKAHEAD_K
 
-Array = NDArray[np.float64]
 NAME = "att-snn-paper"
 """The network that the pages describe."""
 PROFILES = (128, 64, 48, 32, 24)
+RECIPE = ("window_s", "batch_size", "huber_threshold", "rate_cost", "optimiser_lr")
+"""Settings of the training that the page shows."""
 LATENCY_ROUNDS = 60
 """Turns of 100 calls."""
 
@@ -40,11 +39,6 @@ LATENCY_ROUNDS = 60
 def layered() -> list[str]:
     """Shipped networks of layers."""
     return [name for name in shipped_names() if not is_circuit(name)]
-
-
-def estimate_of(est: AttitudeEstimator, flights: Flights) -> Array:
-    """Roll and pitch (n, T, 2) [rad]."""
-    return run(est, flights.gyro, flights.accel)
 
 
 def without_rounding(name: str) -> NetworkEstimator:
@@ -57,7 +51,7 @@ def without_rounding(name: str) -> NetworkEstimator:
 def cost_of_rounding(flights: Flights) -> float:
     """What rounding the states changes of the error [°]; in floats the network has the chip's numbers."""
     chip, floats, real = (
-        estimate_of(est, flights)
+        run(est, flights.gyro, flights.accel)
         for est in (create("att-snn-loihi", weights=NAME), create(NAME), without_rounding(NAME))
     )
     confirmed(f"{NAME}: estimates that differ on the emulated chip", int((chip != floats).sum()))
@@ -68,14 +62,19 @@ def cost_of_rounding(flights: Flights) -> float:
 def network_errors(data: Path) -> list[Row]:
     """Errors of the shipped networks from an unknown start, at home and in RotorPy, silenced beside them."""
     made = made_of(["att-snn", "att-rnn", *layered()], 200.0)
-    abroad, rows = on_rotorpy(lambda _: made, data), []
-    for (name, start), own in (
-        on_flights(lambda _: made, [simulated("test", data)]).loc[list(made)].iterrows()
-    ):
-        ends = span(*Summary(own.sequences).mean_interval())
-        elsewhere = with_silenced(abroad.loc[name, start])
-        rows.append((f"`{name}`", own.mean_deg, ends, own.silenced_deg, elsewhere))
-    return rows
+    home = on_flights(lambda _: made, [simulated("test", data)]).droplevel("initial")
+    abroad = on_rotorpy(lambda _: made, data).droplevel("initial")
+    ends = {name: span(*Summary(home.sequences[name]).mean_interval()) for name in made}
+    return [
+        (
+            f"`{name}`",
+            home.mean_deg[name],
+            ends[name],
+            home.silenced_deg[name],
+            with_silenced(abroad.loc[name]),
+        )
+        for name in made
+    ]
 
 
 def sizes(flights: Flights) -> list[Row]:
@@ -117,12 +116,8 @@ def errors_and_training(part: Part, given: Namespace) -> Values:
         "accel": ", ".join(f"{each:g}" for each in config.inputs.accel),
         "offset": ", ".join(f"{each:g}" for each in config.inputs.accel_offset),
         "parameters": str(parameters(tensors)),
-        "window": f"{recipe.window_s:g}",
-        "batch": str(recipe.batch_size),
-        "huber": f"{recipe.huber_threshold:g}",
-        "rate_cost": f"{recipe.rate_cost:g}",
         "lookahead": f"{LOOKAHEAD_K}, {LOOKAHEAD_ALPHA:g}",
-        "lr": f"{recipe.optimiser_lr:g}",
+        **{key: f"{getattr(recipe, key):g}" for key in RECIPE},
     }
 
 

@@ -33,7 +33,7 @@ PARTS = {
     "verdict": ("docs/results.md", "closed_loop.held_out"),
     "closed-loop": ("docs/results.md", "closed_loop.suite"),
     "recordings": ("docs/results.md", "errors.recordings"),
-    "control": ("docs/results.md", "control.controllers"),
+    "control": ("docs/results.md", "controllers.controllers"),
     "simulator": ("docs/simulator.md", "simulator.theory"),
     "identify": ("docs/simulator.md", "simulator.identification"),
     "filters": ("docs/filters.md", "filters.filters"),

@@ -13,7 +13,7 @@ from quadsim.control.gains import loop_margins
 from quadsim.dataset.figures import plot
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
-from quadsim.flight.recipe import Recipe, load_recipe
+from quadsim.flight.recipe import load_recipe
 from quadsim.identify import Flight, Identified, flights_of, identify
 from quadsim.identify.fit_report import draw_fit
 from quadsim.identify.model import UNITS, constant, with_constants
@@ -23,7 +23,7 @@ from quadsim.logs.allan import calibrate, draw
 from quadsim.logs.recording import Recording
 from quadsim.plant import Plant
 from quadsim.rotation import quat_conjugate, quat_multiply
-from quadsim.vehicle import Vehicle, load_vehicle
+from quadsim.vehicle import load_vehicle
 from quadsim.wind import dryden, dryden_scales
 
 Array = NDArray[np.float64]
@@ -132,32 +132,17 @@ def theory(part: Part, given: Namespace) -> Values:
 # --- identification -------------------------------------------------------------------------------
 
 
-def config_of(airframe: str, trajectory: str) -> Recipe:
-    """Still air and the ADIS16448, on the trajectory of a recipe."""
-    config = load_recipe("hummingbird")
-    changes = {
-        "vehicle": load_vehicle(airframe),
-        "trajectory": load_recipe(trajectory).trajectory,
-    }
-    return config.model_copy(update=changes)
-
-
-def guess(vehicle: Vehicle, seed: int) -> Vehicle:
-    """The vehicle with every constant wrong."""
-    rng = np.random.default_rng(seed)
-    return with_constants(
-        vehicle, {name: constant(vehicle, name) * float(rng.choice(GUESSES)) for name in UNITS}
-    )
-
-
 def identified(airframe: str, data: Path) -> Identified:
-    """The fit to aggressive and to fast flights."""
-    flights: list[Flight] = []
-    for k, trajectory in enumerate(("hummingbird", "cruise")):
-        path = data / f"identify-{airframe}-{trajectory}.zarr"
-        generate(config_of(airframe, trajectory), FLIGHTS, DURATION_S, path, seed=SEED + k)
+    """The fit to aggressive and to fast flights in still air, from a vehicle with every constant wrong."""
+    true, flights = load_vehicle(airframe), list[Flight]()
+    for k, name in enumerate(("hummingbird", "cruise")):
+        changes = {"vehicle": true, "trajectory": load_recipe(name).trajectory}
+        recipe, path = load_recipe("hummingbird"), data / f"identify-{airframe}-{name}.zarr"
+        generate(recipe.model_copy(update=changes), FLIGHTS, DURATION_S, path, seed=SEED + k)
         flights += flights_of(open_dataset(path))
-    return identify(flights, guess(load_vehicle(airframe), SEED))
+    rng = np.random.default_rng(SEED)
+    wrong = {name: constant(true, name) * float(rng.choice(GUESSES)) for name in UNITS}
+    return identify(flights, with_constants(true, wrong))
 
 
 def constants(found: dict[str, Identified]) -> list[Row]:

@@ -33,16 +33,10 @@ ROOT = Path(__file__).parents[1]
 KINDS: dict[str, tuple[type[BaseModel], str]] = {
     "vehicle": (Vehicle, "A multirotor: `assets/vehicles/`, `--set vehicle=`."),
     "imu": (ImuSpec, "An IMU and its errors: `assets/imus/`, `--set imu=`."),
-    "external": (
-        ExternalSpec,
-        "Sensor of position, velocity, yaw: `assets/externals/`, `--set external=`.",
-    ),
+    "external": (ExternalSpec, "Sensor of position, velocity, yaw: `assets/externals/`, `--set external=`."),
     "recipe": (Recipe, "What `quadsim generate` simulates: `assets/recipes/`, `--recipe`."),
     "scenario": (Scenario, "What `quadsim fly` and `quadsim bench` simulate: `scenarios/`."),
-    "preset": (
-        CircuitTraining,
-        "How the circuit is trained: `assets/presets/`, `--preset`; `--set` takes the same keys.",
-    ),
+    "preset": (CircuitTraining, "How the circuit is trained: `assets/presets/`, `--preset`, `--set`."),
     "preset of a network of layers": (TrainingRecipe, "How a network of layers is trained: the same."),
     "tuning": (Tuned, "A filter's parameters, a table for each: `assets/tuning/`, `--set tuning=`."),
     "held-out": (HeldOut, "A held-out suite: `assets/held-out/`."),
@@ -111,7 +105,7 @@ def notebook(tutorial: str) -> str:
 
 
 def results() -> str:
-    """First rows of the README's table of errors, which docs/readme.py makes."""
+    """First rows of the README's table of errors, which docs/errors.py makes."""
     lines = (ROOT / "README.md").read_text("utf-8").splitlines()
     head = next(k for k, line in enumerate(lines) if line.startswith("| attitude estimator"))
     rows = [line for line in lines[head + 2 :] if line.startswith("|")]

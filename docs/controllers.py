@@ -45,19 +45,12 @@ NAMES = {
 }
 ELSEWHERE = ("px4-quad", "crazyflie")
 """Airframes that no controller was trained on."""
-NOMINAL = (
-    "hover",
-    "step",
-    "figure-8",
-    "wind-2",
-    "wind-5",
-    "wind-8",
-    "dryden-light",
-    "dryden-moderate",
-    "wind-gust",
-)
+WINDS = ("wind-2", "wind-5", "wind-8", "dryden-light", "dryden-moderate", "wind-gust")
+NOMINAL = ("hover", "step", "figure-8", *WINDS)
 AGGRESSIVE = ("step-large", "racing")
 STEP_DEG, STEP_S, STEP_FLIGHTS = 20.0, 1.2, 8
+REST = 400
+"""Samples before the step."""
 PROFILES = (32, 16)
 COLOURS = ("#000000", "#009e73", "#7a7a7a", "#0072b2")
 
@@ -124,35 +117,27 @@ def elsewhere() -> pd.DataFrame:
     return pd.concat(tables)
 
 
-def makers() -> dict[str, tuple[MakeController | None, Any]]:
-    """Controller and estimator of each contender; None: the cascade's own, the truth.
+def step_response(make: MakeController | None, estimator: Any) -> Array:
+    """Roll after a step of its set-point, (flights, T) [°]; None: the cascade's own, the truth."""
+    vehicle, imu = load_vehicle("hummingbird"), load_imu("adis16448")
+    loop = FlightLoop(vehicle, STEP_FLIGHTS, imu=imu, seed=5, estimator=estimator, controller=make)
+    loop.reset(position=np.tile([0.0, 0.0, 50.0], (STEP_FLIGHTS, 1)))
+    roll, command = [], np.tile([0.0, 0.0, 0.0, GRAVITY], (STEP_FLIGHTS, 1))
+    for k in range(REST + round(STEP_S * 200)):
+        command[:, 0] = np.radians(STEP_DEG) * (k >= REST)
+        roll.append(np.degrees(roll_pitch_from_quat(loop.plant.quat)[:, 0]))
+        loop.step("attitude", command)
+    return np.stack(roll[REST:], axis=1)
 
-    Without a trajectory to follow, the cascade that knows none is the cascade.
-    """
-    estimator = create(ESTIMATOR)
+
+def step_responses() -> dict[str, Array]:
+    """Those of the contenders; without a trajectory to follow, the cascade that knows none is the cascade."""
+    estimators = {TEACHER: None, BASE: create(ESTIMATOR)}
     return {
-        title: (make_controller(controller_of(name)), estimator if base_of(title) == BASE else None)
+        title: step_response(make_controller(controller_of(name)), estimators[base_of(title)])
         for title, name in NAMES.items()
         if controller_of(name) != SAME
     }
-
-
-def step_response(make: MakeController | None, estimator: Any) -> Array:
-    """Roll after a step of its set-point, (flights, T) [°]."""
-    vehicle: Vehicle = load_vehicle("hummingbird")
-    imu = load_imu("adis16448")
-    loop = FlightLoop(vehicle, STEP_FLIGHTS, imu=imu, seed=5, estimator=estimator, controller=make)
-    loop.reset(position=np.tile([0.0, 0.0, 50.0], (STEP_FLIGHTS, 1)))
-    rest, steps = 400, round(STEP_S * 200)
-    out = np.empty((STEP_FLIGHTS, steps))
-    command = np.zeros((STEP_FLIGHTS, 4))
-    command[:, 3] = GRAVITY
-    for k in range(rest + steps):
-        if k >= rest:
-            command[:, 0] = np.radians(STEP_DEG)
-            out[:, k - rest] = np.degrees(roll_pitch_from_quat(loop.plant.quat)[:, 0])
-        loop.step("attitude", command)
-    return out
 
 
 def draw_steps(responses: dict[str, Array]) -> Figure:
@@ -223,7 +208,7 @@ def controllers(part: Part, given: Namespace) -> Values:
     """Fly every contender, and draw their steps."""
     OUT.mkdir(parents=True, exist_ok=True)
     results, tracking, crashes = flown("suite", list(NAMES.values()))
-    responses = {title: step_response(*made) for title, made in makers().items()}
+    responses = step_responses()
     part.save(draw_steps(responses), "control-steps.png")
     return {
         "scenarios": tracking_table(results, NAMES, "scenario"),
