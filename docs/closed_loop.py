@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from pages import ROOT, Part, Row, Values, table
+from pages import ROOT, Part, Row, Values, number, table
 
 from estimators.appearance import looks
 from estimators.networks.network import silenced
@@ -66,9 +66,9 @@ def fly(
         )  # fmt: skip
 
 
-def beside_crashes(value: float | None, crashes: int | None) -> str:
+def beside_crashes(value: float | None, crashes: float) -> str:
     """A number, a dash where all flights crashed, and the number of crashed flights if there are any."""
-    return ("–" if value is None else f"{value:.2f}") + (f" ✕{crashes}" if crashes else "")
+    return number(np.nan if value is None else value) + (f" ✕{crashes:.0f}" if crashes else "")
 
 
 def standings(judged: Verdict) -> pd.DataFrame:

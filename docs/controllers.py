@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from closed_loop import beside_crashes, by_cell, fly
+from closed_loop import beside_crashes, fly
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from pages import ROOT, Part, Row, Values
@@ -27,7 +27,6 @@ from quadsim.imu.spec import load_imu
 from quadsim.rotation import roll_pitch_from_quat
 from quadsim.vehicle import GRAVITY, Vehicle, load_vehicle
 from scenarios.bench.controllers import controller_of
-from scenarios.bench.results import Results
 
 Array = NDArray[np.float64]
 OUT = ROOT / "reports" / "control"
@@ -45,6 +44,7 @@ NAMES = {
 }
 ELSEWHERE = ("px4-quad", "crazyflie")
 """Airframes that no controller was trained on."""
+ABROAD = ("hover", "step", "figure-8", "dryden-moderate")
 WINDS = ("wind-2", "wind-5", "wind-8", "dryden-light", "dryden-moderate", "wind-gust")
 NOMINAL = ("hover", "step", "figure-8", *WINDS)
 AGGRESSIVE = ("step-large", "racing")
@@ -55,28 +55,19 @@ PROFILES = (32, 16)
 COLOURS = ("#000000", "#009e73", "#7a7a7a", "#0072b2")
 
 
-def flown(folder: str, names: Sequence[str], **how: Any) -> tuple[Results, pd.DataFrame, pd.DataFrame]:
-    """Flights, RMS tracking error [°], NaN where all crashed at once, and crashes: scenarios × contenders."""
+def flown(folder: str, names: Sequence[str], **how: Any) -> pd.DataFrame:
+    """Crashes and metrics by scenario and contender; numbers of which there is none are NaN."""
     results = fly(f"control-{folder}", names, seeds=SEEDS, **how)
     rows = pd.DataFrame(results.rows).set_index(["scenario", "estimator"])
-    return (
-        results,
-        rows["attitude_deg"].astype(float).unstack(),
-        rows["crashes"].fillna(0).astype(int).unstack(),
-    )
+    return rows[["attitude_deg", "jitter", "crashes"]].astype(float).fillna({"crashes": 0})
 
 
-def tracking_table(results: Results, titles: dict[str, str], heading: str) -> pd.DataFrame:
+def tracking_table(rows: pd.DataFrame, titles: dict[str, str], heading: str) -> pd.DataFrame:
     """Tracking error [°] and crashes by scenario, under the titles of contenders."""
-    rows = by_cell(results)
-
-    def cell(scenario: str, name: str) -> str:
-        return beside_crashes(rows[scenario, name].attitude_deg, rows[scenario, name].crashes)
-
-    return pd.DataFrame(
-        {heading: each, **{title: cell(each, name) for title, name in titles.items()}}
-        for each in results.scenarios
-    )
+    cells = rows.apply(lambda each: beside_crashes(each.attitude_deg, each.crashes), axis="columns")
+    scenarios = rows.index.get_level_values("scenario").unique()
+    found = cells.unstack().loc[scenarios, list(titles.values())].set_axis(list(titles), axis="columns")
+    return found.reset_index(names=heading)
 
 
 def base_of(title: str) -> str:
@@ -89,18 +80,18 @@ def spread(ratios: pd.Series) -> str:
     return f"{ratios.median(skipna=False):.2f} ({ratios.min():.2f} to {ratios.max():.2f})"
 
 
-def summary(results: Results, tracking: pd.DataFrame, crashes: pd.DataFrame) -> list[Row]:
+def summary(rows: pd.DataFrame) -> list[Row]:
     """The figures of merit of each controller."""
-    rows, cells = [], by_cell(results)
-    nominal = tracking.loc[list(NOMINAL)]
+    tracking, jitter, crashes = (rows[key].unstack() for key in ("attitude_deg", "jitter", "crashes"))
+    nominal, found = tracking.loc[list(NOMINAL)], []
     for title, name in NAMES.items():
-        own, base = nominal[name], NAMES[base_of(title)]
-        jitter = np.mean([cells[each, name].jitter or np.nan for each in NOMINAL])
-        ratios = spread(own / nominal[base]), spread(own / nominal[NAMES[TEACHER]])
+        base = NAMES[base_of(title)]
+        ratios = (spread(nominal[name] / nominal[other]) for other in (base, NAMES[TEACHER]))
         aggressive = f"{tracking.loc[list(AGGRESSIVE), name].mean():.1f}"
-        more = (crashes[name] - crashes[base]).clip(lower=0).sum()
-        rows.append((title, *ratios, aggressive, crashes[name].sum(), more, f"{jitter:.1f}"))
-    return rows
+        both = crashes[name].sum(), (crashes[name] - crashes[base]).clip(lower=0).sum()
+        change = jitter.loc[list(NOMINAL), name].mean(skipna=False)
+        found.append((title, *ratios, aggressive, *(f"{each:.0f}" for each in both), f"{change:.1f}"))
+    return found
 
 
 def elsewhere() -> pd.DataFrame:
@@ -108,12 +99,10 @@ def elsewhere() -> pd.DataFrame:
     titles = {title: name for title, name in NAMES.items() if base_of(title) == TEACHER}
     tables = []
     for vehicle in ELSEWHERE:
-        scenarios = ("hover", "step", "figure-8", "dryden-moderate")
-        results, _, _ = flown(
-            vehicle, list(titles.values()), scenarios=scenarios, changes={"vehicle": vehicle}
+        rows = flown(vehicle, [*titles.values()], scenarios=ABROAD, changes={"vehicle": vehicle})
+        tables.append(
+            tracking_table(rows.rename(f"{vehicle}, {{}}".format, level=0), titles, "airframe, scenario")
         )
-        shown = tracking_table(results, titles, "airframe, scenario")
-        tables.append(shown.assign(**{"airframe, scenario": f"{vehicle}, " + shown["airframe, scenario"]}))
     return pd.concat(tables)
 
 
@@ -186,10 +175,10 @@ def with_profiles() -> list[Row]:
         file = OUT / f"profiles-{profiles}.safetensors"
         save_network(file, config, share_profiles(tensors, profiles))
         names[f"{profiles}, shared after the training"] = f"truth @ {file}"
-    _, tracking, crashes = flown("profiles", ["truth", *names.values()], scenarios=NOMINAL)
-    ratios = tracking.div(tracking["truth"], axis="index")
+    rows = flown("profiles", ["truth", *names.values()], scenarios=NOMINAL)
+    tracking, crashes = rows["attitude_deg"].unstack(), rows["crashes"].unstack().sum()
     return [
-        (title, spread(ratios[name]), crashes[name].sum(), crashes["truth"].sum())
+        (title, spread(tracking[name] / tracking["truth"]), f"{crashes[name]:.0f}", f"{crashes['truth']:.0f}")
         for title, name in names.items()
     ]
 
@@ -207,19 +196,19 @@ def silenced_left() -> str:
 def controllers(part: Part, given: Namespace) -> Values:
     """Fly every contender, and draw their steps."""
     OUT.mkdir(parents=True, exist_ok=True)
-    results, tracking, crashes = flown("suite", list(NAMES.values()))
+    rows = flown("suite", list(NAMES.values()))
     responses = step_responses()
     part.save(draw_steps(responses), "control-steps.png")
     return {
-        "scenarios": tracking_table(results, NAMES, "scenario"),
-        "summary": summary(results, tracking, crashes),
+        "scenarios": tracking_table(rows, NAMES, "scenario"),
+        "summary": summary(rows),
         "steps": step_figures(responses),
         "chip": on_cores(),
         "profiles": with_profiles(),
         "silenced": silenced_left(),
         "neurons": " + ".join(str(getattr(load_network(SPIKING).config, n)) for n in ("encoding", "hidden")),
         "elsewhere": elsewhere(),
-        "flights": str(SEEDS * len(crashes)),
+        "flights": str(SEEDS * len(rows) // len(NAMES)),
         "seeds": str(SEEDS),
         "nominal": ", ".join(NOMINAL),
         "aggressive": ", ".join(AGGRESSIVE),
