@@ -37,15 +37,24 @@ from quadsim.runs.console import progress_bar
 Array = NDArray[np.float64]
 NAME = "att-snn"
 FLIGHTS, DURATION_S = 6, 60.0
+TUMBLING = {
+    "rate_deg_s": (120.0, 350.0),
+    "acceleration": (0.5, 12.0),
+    "move_s": (3.0, 20.0),
+    "rest_s": (0.5, 10.0),
+}
+"""A hand that turns an IMU at 10 rad/s and more, and shakes it hard."""
 SETS = {
     "px4-quad, wind, rough IMU": ("robust", {"vehicle": "px4-quad"}, 8601),
     "Crazyflie, wind, rough IMU": ("robust", {"vehicle": "crazyflie"}, 8602),
     "turbulence, uncalibrated IMU": ("turbulent", {"imu": "raw"}, 8603),
-    "steady wind": ("windy", {}, 8606),
-    "any Crazyflie, uncalibrated IMU": ("wide", {"vehicle": "crazyflie", "imu": "raw"}, 8613),
-    "hand-held, near level": ("carried", {}, 8612),
+    "Crazyflie of any mass and drag, uncalibrated IMU": (
+        "wide",
+        {"vehicle": "crazyflie", "imu": "raw"},
+        8613,
+    ),
     "hand-held, any attitude": ("hand-held", {}, 8608),
-    "hand-held, tumbling": ("tumbling", {}, 8611),
+    "hand-held, tumbling": ("hand-held", {"hand_held": TUMBLING}, 8611),
 }
 """New flights: recipe, what differs from it, and seed."""
 SCALE = (1.33, 1.21, 0.56, 1.23)

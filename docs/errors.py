@@ -195,7 +195,7 @@ SETTLED_S = 3.0
 """Time at the start of a simulated flight that is not scored [s]."""
 SIMULATED = (
     ("hummingbird", "hummingbird", 3),
-    ("windy", "hummingbird", 43),
+    ("turbulent", "hummingbird", 43),
     ("robust", "hummingbird", 40),
     ("robust", "px4-quad", 41),
     ("robust", "crazyflie", 42),

@@ -22,7 +22,6 @@ from estimators.registry import FILTERPY
 from estimators.running import run_quietly
 from estimators.tuned import load_tuning
 from quadsim.estimator import AttitudeEstimator, Readings
-from quadsim.flight.recipe import load_recipe
 from quadsim.runs.console import progress_bar
 from quadsim.vehicle import Vehicle, with_drag
 
@@ -38,8 +37,6 @@ PIECES = 4
 """Pieces into which flights are cut, so that they start in motion."""
 ELSEWHERE = {
     "val": ("still air, aggressive", "hummingbird-adis16448"),
-    "val-windy": ("steady wind, drag off by up to 20 %", "hummingbird-adis16448"),
-    "val-gusty": ("1−cosine gusts", "hummingbird-adis16448"),
     "val-turbulent": ("Dryden turbulence", "hummingbird-adis16448"),
     "val-rough": ("rough IMU: vibration, mounting, large biases", "hummingbird-adis16448"),
     "val-px4": ("px4-quad, still air, aggressive", "px4-quad-px4-mini"),
@@ -84,7 +81,7 @@ def compared(part: Part, domain: str, dataset: xr.Dataset) -> Evaluation:
 
 def results(done: Evaluation, domain: str, data: Path) -> list[Row]:
     """The table, unknown starts first, best first; beside it RotorPy's flights with the domain's IMU."""
-    imu, starts = load_recipe(SETS[DOMAINS[domain]].recipe).imu, ("unknown", "known")
+    imu, starts = SETS[DOMAINS[domain]].config().imu, ("unknown", "known")
     slow = SLOW_FLIGHTS // len(AIRFRAMES)
     abroad = on_rotorpy(lambda each: made(domain, each), data, imu, initial=starts, slow_flights=slow)
     rows = []
