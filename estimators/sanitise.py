@@ -9,6 +9,10 @@ streaming and in whole sequences; `assets/c99/att_snn.c` says the same in C.
 from quadsim.config.ranges import FORCE_MAX, RATE_MAX, ROTOR_SPEED_MAX
 from quadsim.runs.compiled import njit
 
+RATE_STEP = 10.0
+"""Largest change of a rate from the last good sample at 200 Hz [rad/s]: a vehicle does not turn faster than
+with 2000 rad/s²."""
+
 
 @njit(inline="always")
 def within(x, y, z, most):

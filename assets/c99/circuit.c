@@ -59,6 +59,9 @@ static const double GAIN[6] = $gain;
 /* Beyond these a reading is not one of an IMU [rad/s, m/s^2]. */
 static const double RATE_MAX = $rate_max;
 static const double FORCE_MAX = $force_max;
+/* A rate that jumps by more than this [rad/s] is missing; the last good one replaces it for HOLD samples, then 0. */
+static const double RATE_STEP = $rate_step;
+enum { HOLD = $hold };
 static const double SCALE = $scale; /* parts of a unit vector for a vector's unit */
 
 #part decay

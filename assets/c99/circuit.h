@@ -33,6 +33,7 @@ typedef struct {
     int32_t bias[3], bias_soma[3], bias_spike[3], bias_due[3]; /* of the gyroscope */
     int32_t ring; /* steps, counted around the ring of thresholds from 1 */
     uint32_t skipped; /* samples with a reading that was not used */
+    int32_t age, good; /* samples since the last good rate, and good ones, each up to 20 */
     int8_t passed[3][${N}_GATES]; /* spikes of the innovations */
 } ${n}_state;
 
@@ -41,7 +42,7 @@ void ${n}_reset(${n}_state *state);
 
 /* Scale one reading, body rate [rad/s] and specific force [m/s^2], body x forward, y left, z up. A reading
  * that is not finite or beyond 4000 deg/s or 32 g, or a force of exactly zero, leaves the last good one and
- * is counted in `skipped`. */
+ * is counted in `skipped`; so does a rate that jumps by more than $rate_step rad/s. After $hold such samples the rate is 0. */
 void ${n}_encode(${n}_state *state, const double gyro[3], const double accel[3]);
 
 /* Run the circuit for one sample. */

@@ -53,6 +53,9 @@ static const double GAIN[6] = $gain;
 /* Beyond these a reading is not one of an IMU [rad/s, m/s^2]. */
 static const double RATE_MAX = $rate_max;
 static const double FORCE_MAX = $force_max;
+/* A rate that jumps by more than this [rad/s] is missing; the last good one replaces it for HOLD samples, then 0. */
+static const double RATE_STEP = $rate_step;
+enum { HOLD = $hold };
 static const double SCALE = $scale; /* $unit for a potential of 1 */
 #if CONTROLS
 /* Limits of roll, pitch and yaw rate, and what scales them. */
@@ -215,11 +218,24 @@ void ${n}_set_point(${n}_state *state, const double set_point[4])
 #endif
 void ${n}_encode(${n}_state *state, const double gyro[3], const double accel[3])
 {
-    const int rate = within(gyro, RATE_MAX);
+    int rate = within(gyro, RATE_MAX);
     const int force = within(accel, FORCE_MAX) && (size(accel[0]) | size(accel[1]) | size(accel[2]));
-    if (rate)
+    if (rate && state->age < state->good)
+        for (int k = 0; k < 3; ++k) {
+            const double change = (gyro[k] - OFFSET[k]) * GAIN[k] - state->input[k];
+            rate &= change <= RATE_STEP * GAIN[k] && change >= -RATE_STEP * GAIN[k];
+        }
+    if (rate) {
+        state->age = 0;
+        state->good += state->good < HOLD;
         for (int k = 0; k < 3; ++k)
             state->input[k] = nearest((gyro[k] - OFFSET[k]) * GAIN[k]);
+    } else if (state->age < HOLD) {
+        ++state->age;
+    } else {
+        for (int k = 0; k < 3; ++k)
+            state->input[k] = nearest(-OFFSET[k] * GAIN[k]);
+    }
     if (force)
         for (int k = 0; k < 3; ++k)
             state->input[3 + k] = nearest((accel[k] - OFFSET[3 + k]) * GAIN[3 + k]);

@@ -34,6 +34,7 @@ typedef struct {
     uint16_t encoding_fired[${N}_ENCODING]; /* and which, in ascending order */
     uint16_t hidden_fired[${N}_HIDDEN];
     uint32_t skipped; /* samples with a reading that was not used */
+    int32_t age, good; /* samples since the last good rate, and good ones, each up to 20 */
 #if CONTROLS
     double thrust; /* collective thrust per mass that is passed through [m/s^2] */
 #endif
@@ -50,7 +51,7 @@ void ${n}_set_point(${n}_state *state, const double set_point[4]);
 #endif
 /* Scale one reading, body rate [rad/s] and specific force [m/s^2], body x forward, y left, z up. A reading that
  * is not finite or beyond 4000 deg/s or 32 g, or a force of exactly zero, leaves the last good one and is counted
- * in `skipped`.
+ * in `skipped`; so does a rate that jumps by more than $rate_step rad/s. After $hold such samples the rate is 0.
 #if CONTROLS
  * This network reads an attitude: for accel give it $gravity m/s^2 times the world's up in body axes,
  * (-sin(pitch), sin(roll) cos(pitch), cos(roll) cos(pitch)), of any estimate.

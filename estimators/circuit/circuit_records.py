@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from quadsim.runs.compiled import njit
 
-from ..networks.encoder import MISSING
+from ..networks.encoder import ENCODED
 
 Int32s = NDArray[np.int32]
 
@@ -116,7 +116,7 @@ def no_spikes(vectors, gates):
 def state_of(row, vectors, gates):
     """`CircuitState` of a row of numbers, which begins with the encoder's."""
     v, q = 3 * vectors, 3 * gates
-    at = MISSING + 7
+    at = ENCODED + 6
     x, y, turned = row[at : at + v], row[at + v : at + 2 * v], row[at + 2 * v : at + 3 * v]
     at += 3 * v
     drive, z, passed = row[at : at + q], row[at + q : at + 2 * q], row[at + 2 * q : at + 3 * q]
@@ -124,8 +124,8 @@ def state_of(row, vectors, gates):
     felt, gate = row[at : at + 9], row[at + 9 : at + 9 + gates]
     at += 9 + gates
     return CircuitState(
-        row[MISSING + 1 : MISSING + 4],
-        row[MISSING + 4 : MISSING + 7],
+        row[ENCODED : ENCODED + 3],
+        row[ENCODED + 3 : ENCODED + 6],
         x.reshape(3, vectors),
         y.reshape(3, vectors),
         turned.reshape(3, vectors),

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from quadsim.runs.compiled import njit
 
-from ..networks.encoder import INPUT_ONE, MISSING, Scaling, encode_sample, encoder_fields
+from ..networks.encoder import ENCODED, INPUT_ONE, Scaling, encode_sample, encoder_fields
 from .circuit_records import BIAS_RATE
 from .parameters import FELT, FELT_RATE, FELT_S, OUTPUT, RATE_HZ, SMOOTH_S, Parameters
 
@@ -237,7 +237,7 @@ def _run_states(gyro, accel, set_points, scaling, w, start, onset, states, out):
     n, samples = gyro.shape[0], gyro.shape[1] // 3
     vectors, gates = start.size, onset.size
     scales = Scaling(scaling[:6], scaling[6:])
-    ends = np.cumsum(np.array([MISSING + 1, 3 * vectors, 3, 3 * gates, 9, gates]))
+    ends = np.cumsum(np.array([ENCODED, 3 * vectors, 3, 3 * gates, 9, gates]))
     _, xs, biases, es, smooth, us, begun = np.split(states, ends, axis=1)
     for c in range(n):
         if begun[c, 0] == 0:

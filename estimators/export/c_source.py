@@ -19,9 +19,10 @@ from quadsim.vehicle import GRAVITY
 
 from ..control.controller import THRUST_MAX, set_point_gain
 from ..loihi.neurons import STATE_ONE
-from ..networks.encoder import INPUT_MAX, input_scaling
+from ..networks.encoder import HOLD, INPUT_MAX, input_scaling
 from ..networks.layer_parameters import PARAMETERS, complete, of_layer
 from ..networks.weights_file import NetworkConfig, Tensors, parameters
+from ..sanitise import RATE_STEP
 
 Ints = NDArray[np.int64]
 
@@ -84,6 +85,8 @@ def write_c(folder: str | Path, config: NetworkConfig, tensors: Tensors) -> None
         "input_max": INPUT_MAX,
         "rate_max": RATE_MAX,
         "force_max": FORCE_MAX,
+        "rate_step": RATE_STEP,
+        "hold": HOLD,
         "offset": braces(offset),
         "gain": braces(gain),
         **_set_points(config),

@@ -21,7 +21,8 @@ from ..circuit.circuit_estimator import SCALING
 from ..circuit.file import CircuitConfig
 from ..circuit.parameters import LEARNT, OUTPUT, RATE_HZ, Parameters, quantised
 from ..loihi.neurons import DECAY_ONE, STATE_MAX
-from ..networks.encoder import INPUT_MAX
+from ..networks.encoder import HOLD, INPUT_MAX
+from ..sanitise import RATE_STEP
 from .c_source import ESTIMATOR, braces
 
 Ints = NDArray[np.integer]
@@ -61,6 +62,8 @@ def write_circuit_c(folder: str | Path, config: CircuitConfig, p: Parameters) ->
         "steps": config.steps_per_sample,
         "rate_max": RATE_MAX,
         "force_max": FORCE_MAX,
+        "rate_step": RATE_STEP,
+        "hold": HOLD,
         "offset": braces(SCALING.offset),
         "gain": braces(SCALING.gain),
         **_constants(),

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from quadsim.runs.compiled import njit
 
-from ..sanitise import force_usable, rate_usable, speed_usable, within
+from ..sanitise import RATE_STEP, force_usable, rate_usable, speed_usable, within
 from .inline_math import wrap_core
 
 SAMPLES = np.dtype(
@@ -26,9 +26,9 @@ WORST = 2.0 * math.pi**2
 """Squared error of an estimate that is 180° off in roll and in pitch, or no number [rad²]."""
 HOLD_S = 0.1
 """A missing gyroscope sample is replaced by the last good one for this long [s], and after that by zero."""
-RATE_STEP, ACCELERATION_MAX = 10.0, 2000.0
-"""Largest change of a rate from the last good sample: the larger of this many rad/s, and what so many rad/s²
-make in a sample. What differs by more is missing, for `HOLD_S`, or as long as there had been good ones."""
+ACCELERATION_MAX = 2000.0
+"""Largest change of a rate from the last good sample: the larger of `RATE_STEP`, and what so many rad/s² make
+in a sample. What differs by more is missing, for `HOLD_S`, or as long as there had been good ones."""
 GAP_RATE = 2.0
 """Standard deviation of the rate at which a vehicle turns unseen in a gap longer than `HOLD_S` [rad/s]."""
 

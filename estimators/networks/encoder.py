@@ -2,8 +2,9 @@
 
     x = clip(round(1024 (reading − offset) / range), ±32767) / 1024
 
-A sample is missing where `sanitise` refuses it. The host does this before the chip; its only memory is the
-last good inputs.
+A sample is missing where `sanitise` refuses it, and a rate also where it jumps as no vehicle can turn. After
+`HOLD` missing rates the rate is zero, and any rate is taken again. The host does this before the chip; its
+memory is the last good inputs and two counts. Filters do the same (`estimators.filters.samples`).
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from quadsim.runs.compiled import njit
 
-from ..sanitise import force_usable, rate_usable
+from ..sanitise import RATE_STEP, force_usable, rate_usable
 from .weights_file import READINGS, InputScaling
 
 Array = NDArray[np.float64]
@@ -23,13 +24,19 @@ Array = NDArray[np.float64]
 INPUT_ONE = 1024
 """Integer input of the network for a scaled reading of 1.0."""
 INPUT_MAX = 32767
-MISSING = READINGS
-"""Place of the count in an encoder's state, after the last inputs."""
+HOLD = 20
+"""Samples for which a missing rate is the last good one: 0.1 s at 200 Hz."""
+MISSING, AGE, GOOD, ENCODED = range(READINGS, READINGS + 4)
+"""Places of the counts in an encoder's state, after the last inputs, and the number of its numbers."""
 
 
 def encoder_fields(number: DTypeLike) -> list[tuple[Any, ...]]:
-    """Fields of an encoder's state: the last integer inputs, and how many samples lacked something."""
-    return [("inputs", number, READINGS), ("missing", number)]
+    """Fields of an encoder's state.
+
+    They are the last integer inputs, how many samples lacked something, how many there have been since the
+    last good rate, and how many good rates there have been, these two up to `HOLD`.
+    """
+    return [("inputs", number, READINGS), ("missing", number), ("age", number), ("good", number)]
 
 
 ENCODER = np.dtype(encoder_fields(np.float64))
@@ -79,9 +86,19 @@ def encode_sample(gyro, accel, scaling, state):
     """Scale one sample, (3,) [rad/s] and (3,) [m/s²], into the numbers of an encoder's state."""
     rate_found = rate_usable(gyro[0], gyro[1], gyro[2])
     force_found = force_usable(accel[0], accel[1], accel[2])
+    if state[AGE] < state[GOOD]:
+        for k in range(3):
+            change = (gyro[k] - scaling.offset[k]) * scaling.gain[k] - state[k]
+            rate_found = rate_found and abs(change) <= RATE_STEP * scaling.gain[k]
     if rate_found:
+        state[AGE], state[GOOD] = 0, min(state[GOOD] + 1, HOLD)
         for k in range(3):
             state[k] = _integer(gyro[k] - scaling.offset[k], scaling.gain[k])
+    elif state[AGE] < HOLD:
+        state[AGE] += 1
+    else:
+        for k in range(3):
+            state[k] = _integer(-scaling.offset[k], scaling.gain[k])
     if force_found:
         for k in range(3):
             state[3 + k] = _integer(accel[k] - scaling.offset[3 + k], scaling.gain[3 + k])

@@ -35,7 +35,7 @@ from ..loihi.neurons import (
     step,
     wrap,
 )
-from .encoder import INPUT_ONE, MISSING, Scaling, encode_sample, encoder_fields, input_scaling
+from .encoder import ENCODED, INPUT_ONE, Scaling, encode_sample, encoder_fields, input_scaling
 from .layer_parameters import DECAY, EXPONENTS, PARAMETERS, THRESHOLDS, Weights, complete, of_layer
 from .weights_file import READINGS, NetworkConfig, Tensors
 
@@ -135,7 +135,7 @@ def run_spiking(gyro, accel, set_points, settings, encoders, table, weights, sta
     )
     for c in range(states.shape[0]):
         kept = states[c]
-        current, rest = kept[MISSING + 1 : MISSING + 1 + h0], kept[MISSING + 1 + h0 :]
+        current, rest = kept[ENCODED : ENCODED + h0], kept[ENCODED + h0 :]
         potentials, before = rest[: h0 + targets], rest[h0 + 2 * targets :]
         state = NeuronState(potentials[:h0], rest[h0 + targets : h0 + 2 * targets], potentials[h0:])
         for t in range(gyro.shape[1] // 3):

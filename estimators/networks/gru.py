@@ -14,7 +14,7 @@ import numpy as np
 
 from quadsim.runs.compiled import njit
 
-from .encoder import INPUT_ONE, MISSING, Scaling, encode_sample, encoder_fields, input_scaling
+from .encoder import ENCODED, INPUT_ONE, Scaling, encode_sample, encoder_fields, input_scaling
 from .weights_file import READINGS, NetworkConfig, Tensors
 
 _HALF = np.float32(0.5)
@@ -118,7 +118,7 @@ def run_gru(gyro, accel, set_points, settings, first, second, readout, states, o
     from_x, from_h = np.empty(wide, np.float32), np.empty(wide, np.float32)
     x, y = np.empty(READINGS, np.float32), np.empty(readout.shape[1], np.float32)
     for c in range(states.shape[0]):
-        inputs, kept0, kept1 = np.split(states[c], (MISSING + 1, MISSING + 1 + h0.size))
+        inputs, kept0, kept1 = np.split(states[c], (ENCODED, ENCODED + h0.size))
         h0[:], h1[:] = kept0, kept1
         for t in range(gyro.shape[1] // 3):
             encode_sample(gyro[c, 3 * t : 3 * t + 3], accel[c, 3 * t : 3 * t + 3], scaling, inputs)

@@ -103,25 +103,22 @@ def away_after_faults(clean, name):
 
 
 CIRCUIT = ("att-snn", "att-rnn", "att-snn-loihi")
-REFUSED = [name for name in FAULTS if "1e30" in name or "1000" in name or "300" in name]
-"""Readings that no sensor gives."""
+GAP = "no 100 samples"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "faults"), [*((n, list(FAULTS)) for n in CLASSICAL), *((n, REFUSED) for n in CIRCUIT)]
-)
-def test_ten_seconds_after_a_bad_sample_or_a_gap_an_estimate_is_within_two_degrees(clean, name, faults):
+@pytest.mark.parametrize("name", [*CLASSICAL, *CIRCUIT])
+def test_ten_seconds_after_a_bad_sample_or_a_gap_an_estimate_is_within_two_degrees(clean, name):
+    faults = [each for each in FAULTS if each != GAP or name not in CIRCUIT]
     found = away_after_faults(clean, name)
     assert {fault: found[fault] for fault in faults} == dict.fromkeys(faults, pytest.approx(0, abs=2))
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="a false turn passes into the bias that it learns")
+@pytest.mark.xfail(strict=True, reason="the gain does not rise after a gap, as that of a filter does")
 @pytest.mark.parametrize("name", CIRCUIT)
-def test_the_circuit_forgets_false_turns_and_gaps_within_ten_seconds(clean, name):
-    found = away_after_faults(clean, name)
-    assert max(away for fault, away in found.items() if fault not in REFUSED) < 2
+def test_the_circuit_finds_its_attitude_within_ten_seconds_after_a_gap(clean, name):
+    assert away_after_faults(clean, name)[GAP] < 2
 
 
 @pytest.mark.parametrize("name", CLASSICAL)

@@ -5,9 +5,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from estimators.networks.encoder import ENCODER, INPUT_MAX, INPUT_ONE, scaled_inputs
+from estimators.networks.encoder import ENCODER, HOLD, INPUT_MAX, INPUT_ONE, scaled_inputs
 from estimators.networks.weights_file import PAPER_SCALING, InputScaling
-from estimators.sanitise import FORCE_MAX, RATE_MAX
+from estimators.sanitise import FORCE_MAX, RATE_MAX, RATE_STEP
 
 SCALINGS = (InputScaling(), PAPER_SCALING)
 READINGS = arrays(np.float64, (1, 8, 3), elements=st.floats(-1e6, 1e6) | st.just(np.nan) | st.just(np.inf))
@@ -41,15 +41,42 @@ def test_the_last_good_sample_stands_for_a_missing_one_and_is_counted():
     assert state["missing"] == [6]
 
 
+def test_a_rate_that_jumps_is_missing_until_it_has_lasted():
+    gyro, accel = np.zeros((1, 60, 3)), np.ones((1, 60, 3))
+    gyro[0, 25:27, 2] = RATE_STEP + 0.1
+    gyro[0, 30:, 0] = RATE_STEP + 0.1
+    gyro[0, :, 1] = np.linspace(0, RATE_STEP, 60)
+    state = np.zeros(1, ENCODER)
+    x = scaled_inputs(InputScaling(gyro=1.0), gyro, accel, state)[0]
+    assert not x[:, 2].any()
+    assert not x[:50, 0].any()
+    assert (x[50:, 0] > RATE_STEP).all()
+    np.testing.assert_array_equal(x[30:50, 1], x[29, 1])
+    assert x[51, 1] > x[50, 1] > x[29, 1] > x[25, 1]
+    assert state["missing"] == [22]
+
+
+def test_a_rate_that_is_missing_for_long_is_zero():
+    gyro, accel = np.ones((1, 60, 3)), np.ones((1, 60, 3))
+    gyro[0, 5:58] = np.nan
+    x = scaled_inputs(InputScaling(gyro=1.0), gyro, accel)[0, :, :3]
+    assert (x[: 5 + HOLD] == 1).all()
+    assert not x[5 + HOLD : 58].any()
+    assert (x[58:] == 1).all()
+
+
 def test_inputs_are_zero_before_the_first_good_sample():
     gyro, accel = np.full((1, 3, 3), np.nan), np.zeros((1, 3, 3))
     np.testing.assert_array_equal(scaled_inputs(PAPER_SCALING, gyro, accel), 0.0)
 
 
 @given(READINGS, READINGS, GOOD, GOOD)
-def test_a_good_sample_gives_the_inputs_that_it_gives_a_new_encoder(gyro, accel, last_gyro, last_accel):
-    inputs, state = InputScaling(), np.zeros(1, ENCODER)
+def test_after_a_gap_a_good_sample_gives_the_inputs_that_it_gives_a_new_encoder(
+    gyro, accel, last_gyro, last_accel
+):
+    inputs, state, gap = InputScaling(), np.zeros(1, ENCODER), np.full((1, HOLD, 3), np.nan)
     scaled_inputs(inputs, gyro, accel, state)
+    scaled_inputs(inputs, gap, gap, state)
     x = scaled_inputs(inputs, last_gyro, last_accel, state)
     np.testing.assert_array_equal(x, scaled_inputs(inputs, last_gyro, last_accel))
 

@@ -117,7 +117,7 @@ def est(request, snn_file, rnn_file):
 
 def test_streaming_equals_the_whole_sequence_however_many_vehicles_there_are(est):
     steps = 520  # a float circuit takes 500 at once
-    gyro, accel = samples(5, steps, rate=3.0, force=4.0)
+    gyro, accel = samples(5, steps, rate=1.5, force=4.0)
     gyro[0, 20], accel[1, 30:33], accel[2, 5] = np.nan, np.nan, 0.0
     est.reset(5)
     whole = est.sequence(gyro, accel)

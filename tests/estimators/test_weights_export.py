@@ -47,7 +47,8 @@ def state_of(config):
         ("output", np.dtype(neuron), config.n_outputs),
     ]
     thrust = [("thrust", float)] * config.controls
-    fields = [("input", np.int32, config.n_inputs), *layers, *spikes, *fired, ("skipped", np.uint32), *thrust]
+    counts = [("skipped", np.uint32), ("age", np.int32), ("good", np.int32)]
+    fields = [("input", np.int32, config.n_inputs), *layers, *spikes, *fired, *counts, *thrust]
     return np.dtype(fields, align=True)
 
 
