@@ -44,9 +44,7 @@ SILENCED = OUT / "silenced.safetensors"
 """A network with output weights of zero."""
 SWEEPS = ("constant wind", "step of the gyro bias", "lost samples")
 DELAYS_MS = (0, 5, 15, 30, 60, 100)
-BEHIND = "behind the best [°]"
-COLUMNS = {BEHIND: "error minus that of rank 1 [°]", "tracking [°]": "attitude tracking [°]"}
-"""Columns of a verdict that are called otherwise on the page."""
+BEHIND, TRACKING = "error minus that of rank 1 [°]", "attitude tracking [°]"
 
 
 def fly(
@@ -73,8 +71,7 @@ def beside_crashes(value: float | None, crashes: float) -> str:
 
 def standings(judged: Verdict) -> pd.DataFrame:
     """The table of a verdict."""
-    found = pd.DataFrame({"estimator": each.estimator, **each.texts} for each in judged.standings)
-    return found.rename(COLUMNS, axis="columns")
+    return pd.DataFrame({"estimator": each.estimator, **each.texts} for each in judged.standings)
 
 
 # --- the held-out suite and the axes --------------------------------------------------------------
@@ -204,7 +201,7 @@ def suite_standings(judged: Verdict, silent: Results) -> pd.DataFrame:
     found = standings(judged)
     text = f"{shown(level.error_deg)}, ✕ {level.crashes}"
     found["silenced network [°]"] = np.where(found["estimator"].isin(NETWORKS), text, "–")
-    return found[["estimator", "crashed", "error [°]", "silenced network [°]", *COLUMNS.values()]]
+    return found[["estimator", "crashed", "error [°]", "silenced network [°]", BEHIND, TRACKING]]
 
 
 def breaking_points(results: Results) -> list[Row]:

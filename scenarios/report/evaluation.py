@@ -107,7 +107,7 @@ def columns(rows: Sequence[Any]) -> list[dict[str, object]]:
             "95 %": f"{row.mean_low_deg:.2f}–{row.mean_high_deg:.2f}",
             "SD [°]": _known(row.sd_deg),
             "silenced [°]": _known(row.silenced_deg),
-            "behind the best [°]": behind_the_best(row),
+            "error minus the best [°]": behind_the_best(row),
             "inclination [°]": _known(row.inclination_rmse_deg),
             "20° to 2° [s]": _known(row.settle_20_s),
             "45° to 2° [s]": _known(row.settle_45_s),

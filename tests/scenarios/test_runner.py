@@ -138,7 +138,7 @@ def test_the_standings_have_ranks_means_and_the_worst_scenario(tmp_path):
     assert cells["rank"] == ["1", "–"]
     assert cells["crashed"] == ["2 of 6 (10–70 %)"] * 2
     assert cells["error [°]"][0] == f"{np.mean([row.error_deg for row in mahony]):.2f}"
-    assert cells["tracking [°]"][0] == f"{np.mean([row.attitude_deg for row in mahony]):.2f}"
+    assert cells["attitude tracking [°]"][0] == f"{np.mean([row.attitude_deg for row in mahony]):.2f}"
     assert cells["at worst"] == ["crashing, 2 of 2 crashed, not measured"] * 2
     console = Console(width=80, file=StringIO())
     console.print(table)

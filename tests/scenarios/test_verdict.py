@@ -226,7 +226,10 @@ def test_the_table_has_the_worst_scenario_and_the_paired_difference_from_the_bes
         }
     )
     x, y, z = verdict(results).standings
-    assert (x.texts["behind the best [°]"], y.texts["behind the best [°]"]) == ("–", "+0.50 ± 0.00")
+    assert (x.texts["error minus that of rank 1 [°]"], y.texts["error minus that of rank 1 [°]"]) == (
+        "–",
+        "+0.50 ± 0.00",
+    )
     assert (x.texts["at worst"], y.texts["at worst"]) == ("b, 4.05°", "b, 3.05°")
     assert (z.texts["crashed"], z.texts["at worst"]) == (
         "2 of 4 (15–85 %)",
@@ -236,7 +239,7 @@ def test_the_table_has_the_worst_scenario_and_the_paired_difference_from_the_bes
 
 def test_console_and_report_have_the_tracking_error_beside_that_of_the_estimate():
     judged = verdict(benchmark({"x": {"a": [1.0, 2.0]}, "y": {"a": [crash(5.0), 3.0]}}))
-    assert [(s.texts["error [°]"], s.texts["tracking [°]"]) for s in judged.standings] == [
+    assert [(s.texts["error [°]"], s.texts["attitude tracking [°]"]) for s in judged.standings] == [
         ("1.50", "3.00"),
         ("3.00", "6.00"),
     ]
