@@ -75,7 +75,7 @@ def on_flights(
     parts = [evaluate(each.drop_vars("rotor_vel"), made(vehicle_of(each)), **how) for each in datasets]
     errors = {key: np.concatenate([part.sequences[key] for part in parts]) for key in parts[0].sequences}
     tables = pd.concat([part.table for part in parts]).groupby(["estimator", "initial"])
-    sequences = pd.Series(errors)
+    sequences = pd.Series(errors).rename_axis(["estimator", "initial"])
     columns = {"sequences": sequences, "mean_deg": sequences.map(np.mean)}
     return pd.DataFrame({**columns, "silenced_deg": tables["silenced_deg"].mean()})
 
