@@ -3,7 +3,7 @@
 A reading is refused, as a missing one is, where it is not finite or is beyond what any IMU of a flying robot
 can measure; an accelerometer's also where it is exactly zero, which no working sensor on a vehicle under
 thrust gives. A rate of exactly zero is a good measurement. Filters and networks share these functions, in
-streaming and in whole sequences; `assets/c99/att_snn.c` says the same in C.
+streaming and in whole sequences; `assets/c99/network.c` says the same in C.
 """
 
 from quadsim.config.ranges import FORCE_MAX, RATE_MAX, ROTOR_SPEED_MAX

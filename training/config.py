@@ -141,7 +141,7 @@ class FlightSet(Strict):
 
     recipe: str
     """A shipped recipe or a TOML file."""
-    flights: dict[str, Number]
+    flights: dict[str, Number] = Field(min_length=1)
     """How many of each vehicle."""
     changes: dict[str, Any] = Field(default={})
     """Keys of the recipe that differ."""

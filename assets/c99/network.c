@@ -222,7 +222,7 @@ void ${n}_encode(${n}_state *state, const double gyro[3], const double accel[3])
     const int force = within(accel, FORCE_MAX) && (size(accel[0]) | size(accel[1]) | size(accel[2]));
     if (rate && state->age < state->good)
         for (int k = 0; k < 3; ++k) {
-            const double change = (gyro[k] - OFFSET[k]) * GAIN[k] - state->input[k];
+            const double change = nearest((gyro[k] - OFFSET[k]) * GAIN[k]) - state->input[k];
             rate &= change <= RATE_STEP * GAIN[k] && change >= -RATE_STEP * GAIN[k];
         }
     if (rate) {

@@ -105,6 +105,10 @@ def _place(path: str | Path) -> Path:
     return SHIPPED.get(str(path), Path(path))
 
 
+LARGEST = 1e4
+"""Beyond any parameter of a circuit."""
+
+
 def _check(path: str | Path, config: CircuitConfig, tensors: dict[str, np.ndarray]) -> None:
     for name, shape in expected_shapes(config.vectors, config.gates, len(tensors["pairs"])).items():
         value = tensors[name]
@@ -112,8 +116,8 @@ def _check(path: str | Path, config: CircuitConfig, tensors: dict[str, np.ndarra
             raise ValueError(f"{path}: tensor {name} has shape {value.shape}, should be {shape}")
         if value.dtype != (np.int64 if name == "pairs" else np.float64):
             raise ValueError(f"{path}: tensor {name} is {value.dtype}")
-        if not np.isfinite(value).all():
-            raise ValueError(f"{path}: tensor {name} has values that are not finite")
+        if not (np.abs(value) <= LARGEST).all():
+            raise ValueError(f"{path}: tensor {name} has values that are not finite, or beyond {LARGEST:g}")
     limits = np.array([config.vectors, config.gates])
     if np.any(tensors["pairs"] < 0) or np.any(tensors["pairs"] >= limits):
         raise ValueError(f"{path}: pairs name a vector or a gate that is not there")

@@ -4,7 +4,8 @@
 
 A sample is missing where `sanitise` refuses it, and a rate also where it jumps as no vehicle can turn. After
 `HOLD` missing rates the rate is zero, and any rate is taken again. The host does this before the chip; its
-memory is the last good inputs and two counts. Filters do the same (`estimators.filters.samples`).
+memory is the last good inputs and two counts. Filters do the same at 200 Hz, the rate of the networks
+(`estimators.filters.samples`).
 """
 
 from __future__ import annotations
@@ -88,7 +89,7 @@ def encode_sample(gyro, accel, scaling, state):
     force_found = force_usable(accel[0], accel[1], accel[2])
     if state[AGE] < state[GOOD]:
         for k in range(3):
-            change = (gyro[k] - scaling.offset[k]) * scaling.gain[k] - state[k]
+            change = _integer(gyro[k] - scaling.offset[k], scaling.gain[k]) - state[k]
             rate_found = rate_found and abs(change) <= RATE_STEP * scaling.gain[k]
     if rate_found:
         state[AGE], state[GOOD] = 0, min(state[GOOD] + 1, HOLD)

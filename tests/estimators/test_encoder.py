@@ -56,6 +56,13 @@ def test_a_rate_that_jumps_is_missing_until_it_has_lasted():
     assert state["missing"] == [22]
 
 
+def test_a_steady_rate_beyond_the_range_of_the_integers_is_no_jump():
+    gyro, accel = np.full((1, 60, 3), 13.5), np.ones((1, 60, 3))
+    state = np.zeros(1, ENCODER)
+    scaled_inputs(InputScaling(gyro=0.1), gyro, accel, state)
+    assert state["missing"] == [0]
+
+
 def test_a_rate_that_is_missing_for_long_is_zero():
     gyro, accel = np.ones((1, 60, 3)), np.ones((1, 60, 3))
     gyro[0, 5:58] = np.nan

@@ -93,6 +93,12 @@ def test_a_run_with_flights_that_are_too_short_leaves_no_folder(data, tmp_path):
     assert not list(tmp_path.iterdir())  # the folder is free for a run that is right
 
 
+def test_a_validation_set_that_is_not_there_is_refused_before_the_training(data, tmp_path):
+    with pytest.raises(FileNotFoundError, match="nowhere"):
+        train(data=data, validation=("nowhere.zarr",), out=tmp_path / "run", **SHORT)
+    assert not (tmp_path / "run" / "config.json").exists()
+
+
 def test_streams_are_readings_and_their_up(data):
     parts = [load_training_flights([path]) for path in data]
     assert [part.vehicles for part in parts] == [("hummingbird",), ()]

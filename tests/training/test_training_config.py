@@ -35,6 +35,7 @@ CONTROL, CIRCUIT = {"preset": "control-attitude", "data": ()}, {"preset": "att-s
         (CONTROL | {"control": {"flghts": 3}}, 'did you mean "flights"'),
         (CONTROL | {"control": {"teacher_share": 2.0}}, r"control\.teacher_share"),
         ({"preset": "tune", "data": ()}, "data: at least one dataset to train on is required"),
+        (CIRCUIT | {"flight_sets": [{"recipe": "wide", "flights": {}}]}, r"flight_sets\[0\]\.flights"),
         (CIRCUIT | {"gates": 2}, "gates = 2: should be 8 to 256"),
         (CIRCUIT | {"epochs": 3}, "--epochs is not for the circuit of att-snn"),
         (CIRCUIT | {"model": "att-rnn"}, "--model is not for the circuit of att-snn"),
@@ -76,8 +77,10 @@ def test_a_circuit_without_data_makes_the_flights_of_its_preset(tmp_path):
     assert seen[-1] == (1, 1)
     assert open_dataset(made.data[0]).sizes["time"] == 12_000
     assert own_flights(config, tmp_path).data == made.data
-    with pytest.raises(ValueError, match="seed"):
+    with pytest.raises(ValueError, match="the flights of another training, choose another --out"):
         own_flights(config.model_copy(update={"seed": 3}), tmp_path)
+    with pytest.raises(ValueError, match="window_s: 90, but the flights have 60 s"):
+        own_flights(config.model_copy(update={"window_s": 90.0}), tmp_path)
 
 
 def test_no_seed_of_these_flights_is_held_out(tmp_path, monkeypatch):

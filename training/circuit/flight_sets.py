@@ -21,13 +21,16 @@ def own_flights(config: CircuitRun, out: Path, progress: Progress = lambda done,
     """The run with the datasets of its preset as data, which are made in `out` unless they are there.
 
     Raises:
-        ValueError: An unknown recipe, vehicle or key, or another dataset in the way.
+        ValueError: An unknown recipe, vehicle or key, windows longer than the flights, or another training's
+            flights in the way.
     """
+    if config.window_s > FLIGHT_S:
+        raise ValueError(f"window_s: {config.window_s:g}, but the flights have {FLIGHT_S:g} s")
     recipes = []
     for each in config.flight_sets:
         base = load_recipe(each.recipe).model_dump(mode="json")
         for vehicle, flights in each.flights.items():
-            changes = {"vehicle": vehicle} | each.changes
+            changes = each.changes | {"vehicle": vehicle}
             recipes.append((parse(merged(base, changes), Recipe, each.recipe), flights))
     total, done, paths = sum(flights for _, flights in recipes), 0, []
     for index, (recipe, flights) in enumerate(recipes):
@@ -38,6 +41,11 @@ def own_flights(config: CircuitRun, out: Path, progress: Progress = lambda done,
             progress(before + part, total)
 
         path = out / f"{index:02d}.zarr"
-        paths.append(str(generate(recipe, flights, FLIGHT_S, path, seed=seed, progress=report)))
+        try:
+            paths.append(str(generate(recipe, flights, FLIGHT_S, path, seed=seed, progress=report)))
+        except ValueError as error:
+            if "another dataset" not in str(error):
+                raise
+            raise ValueError(f"{out}: holds the flights of another training, choose another --out") from error
         done += flights
     return config.model_copy(update={"data": tuple(paths)})

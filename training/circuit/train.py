@@ -16,7 +16,7 @@ from estimators.circuit.parameters import LEARNT, OUTPUT, RATE_HZ, Parameters, u
 from estimators.metrics import absolute_error
 
 from ..config import EPOCH_UPDATES, CircuitRun
-from ..data import load_training_flights
+from ..data import TrainingFlights, load_training_flights
 from ..run_folder import Epoch
 from .gradient import begin, loss_and_gradient
 from .streams import Streams, draw_streams
@@ -56,6 +56,7 @@ class CircuitLearner:
             raise ValueError(
                 f"window_s: {config.window_s:g}, but the shortest flight has {shortest / RATE_HZ:g} s"
             )
+        self.validation = {path: load_training_flights([path]) for path in config.validation}
         self.first = (
             load_circuit(config.init).parameters
             if config.init
@@ -64,7 +65,8 @@ class CircuitLearner:
 
     def contents(self) -> dict[str, str]:
         """Digests of the flights."""
-        return {path: part.digest() for path, part in zip(self.config.data, self.parts, strict=True)}
+        data = dict(zip(self.config.data, self.parts, strict=True))
+        return {path: part.digest() for path, part in (data | self.validation).items()}
 
     def begin(self) -> None:
         """Draw the streams; weights, Adam's moments and averaged weights as they are at first."""
@@ -117,11 +119,11 @@ class CircuitLearner:
     def _validation(self) -> dict[str, float]:
         """Mean absolute error of each validation set, also of the circuit that the run continued [deg]."""
         found = {}
-        for path in self.config.validation:
+        for path, flights in self.validation.items():
             name = Path(path).stem
-            found[f"{name}_deg"] = validation_error(self.circuit(), path)
+            found[f"{name}_deg"] = validation_error(self.circuit(), flights)
             if self.config.init:
-                found[f"{name}_before_training_deg"] = validation_error(self.first, path)
+                found[f"{name}_before_training_deg"] = validation_error(self.first, flights)
         return found
 
     def circuit(self) -> Parameters:
@@ -189,9 +191,8 @@ def scaled(p: Parameters, streams: Streams) -> Parameters:
     return p._replace(scale=np.quantile(size, RANGE_QUANTILE, axis=1).astype(np.float64) / RANGE)
 
 
-def validation_error(p: Parameters, path: str) -> float:
-    """Mean absolute error on spikes over complete flights of a dataset, unknown initial attitude [deg]."""
-    flights = load_training_flights([path])
+def validation_error(p: Parameters, flights: TrainingFlights) -> float:
+    """Mean absolute error on spikes over complete flights, unknown initial attitude [deg]."""
     estimator = circuit_estimator("att-snn", p)
     estimator.reset(len(flights))
     return float(absolute_error(estimator.sequence(flights.gyro, flights.accel), flights.roll_pitch).mean())
