@@ -38,13 +38,18 @@ def declared(name: str) -> dict[str, Parameter]:
     return dict(found)
 
 
-def own(name: str, rate_hz: float, values: Mapping[str, float] | None = None) -> AttitudeEstimator:
+def wants_airframe(name: str) -> bool:
+    """Whether a user's class asks for the airframe: its `given` names it. It is then made with `vehicle=`."""
+    return "airframe" in getattr(load_own(name, GROUP), "given", ())
+
+
+def own(name: str, rate_hz: float, values: Mapping[str, Any] | None = None) -> AttitudeEstimator:
     """A user's estimator.
 
     Args:
         name: "module:Class", "path/file.py:Class", or an entry point.
         rate_hz: Samples per second, the class's only positional argument.
-        values: Declared parameters, its keywords.
+        values: Its keywords: declared parameters, and the `vehicle` where it asks for the airframe.
 
     Raises:
         ValueError: No such module or class, or it is no estimator.
@@ -53,7 +58,7 @@ def own(name: str, rate_hz: float, values: Mapping[str, float] | None = None) ->
 
 
 def made_by(
-    name: str, made: Callable[..., AttitudeEstimator], rate_hz: float, values: Mapping[str, float]
+    name: str, made: Callable[..., AttitudeEstimator], rate_hz: float, values: Mapping[str, Any]
 ) -> AttitudeEstimator:
     """What a user's class or function makes, tried; arguments and errors as of `own`."""
     arguments = ", ".join(["one argument, rate_hz", *(f"{key}=" for key in values)])

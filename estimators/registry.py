@@ -19,7 +19,7 @@ from quadsim.runs.fingerprint import ASSETS
 from quadsim.vehicle import Vehicle, load_vehicle
 
 from .circuit.file import is_circuit, load_circuit
-from .custom import declared, is_custom, own
+from .custom import declared, is_custom, own, wants_airframe
 from .filters.parameter import Parameter, checked
 from .networks.weights_file import END, load_network, shipped_controllers, shipped_names
 from .tuned import tuned_for
@@ -94,7 +94,8 @@ def create(
         name: One of `names()`, a network's weights, by the path of a .safetensors file or by a name under
             which some ship, such as "att-snn-paper"; or your own estimator: "module:Class",
             "path/file.py:Class" or an entry point of the group "quadsim.estimators". It is made with
-            `rate_hz`, and with the parameters that its class declares as keywords.
+            `rate_hz`, with the parameters that its class declares as keywords, and with `vehicle=`, which may
+            be None, where its `given` names the airframe.
         rate_hz: Samples per second.
         tuning: Where parameters come from that are not given: a shipped domain or a TOML file made by
             `quadsim tune`; None for the shipped domain of the vehicle and the IMU.
@@ -116,7 +117,8 @@ def create(
         return _network(name, rate_hz, params)
     airframe, sensor = loaded(vehicle, imu)
     if is_custom(name):
-        return own(name, rate_hz, filter_values(name, rate_hz, params, tuning, airframe, sensor))
+        known = {"vehicle": airframe} if wants_airframe(name) else {}
+        return own(name, rate_hz, known | filter_values(name, rate_hz, params, tuning, airframe, sensor))
     module, _, made_by = _shipped(name).made_by.partition(":")
     SAMPLE_RATE.of("rate_hz", rate_hz)
     known = airframe_constants(name, airframe)

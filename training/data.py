@@ -22,6 +22,7 @@ from estimators.networks.gru import Recurrent
 from estimators.networks.network import NetworkEstimator, Spiking
 from estimators.networks.weights_file import NetworkConfig, Tensors
 from quadsim.dataset.reading import open_dataset
+from quadsim.held_out import unreserved
 from quadsim.rotation import quat_rotate_inverse, roll_pitch_of_up
 
 from .augment import measured, turned_and_mirrored
@@ -92,6 +93,7 @@ def load_training_flights(paths: Sequence[str | Path]) -> TrainingFlights:
 
 def _read(path: Path) -> TrainingFlights:
     data = open_dataset(path)
+    unreserved(int(data.attrs["seed"]))
     complete = np.flatnonzero(data["valid_steps"].to_numpy() == data.sizes["time"])
     if complete.size == 0:
         raise ValueError(f"{path}: no flight that lasts to the end")

@@ -186,7 +186,8 @@ def tune(
             parameters give estimates without a flaw; a dataset that is not one, or a seed of a held-out
             suite.
     """
-    unreserved(search.seed)
+    for seed in (search.seed, *(dataset.attrs.get("seed", 0) for dataset in datasets)):
+        unreserved(int(seed))
     searched = [key for key, each in parameters(name).items() if each.searched]
     if not searched:
         raise ValueError(f"{name} has no parameters to tune")

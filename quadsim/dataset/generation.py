@@ -39,6 +39,7 @@ def generate(
     executor: Executor | None = None,
     progress: Progress = lambda done, total: None,
     overwrite: bool = False,
+    held_out: bool = False,
 ) -> Path:
     """Simulate flights and write them as a labelled Zarr store.
 
@@ -52,7 +53,7 @@ def generate(
         flights: Number of flights; flight i has the i-th child of the seed.
         duration_s: Length of each flight [s].
         out: Path of the dataset; grows as `out.partial` until it is whole.
-        seed: Seed of everything random; none of a held-out suite.
+        seed: Seed of everything random.
         rate_hz: Samples per second.
         workers: Processes; 1 stays in this process. By default one for each CPU, but 1 for few samples. With
             an executor, how many workers it has.
@@ -60,6 +61,7 @@ def generate(
             `get_executor()`; its workers need quadsim and the same file system.
         progress: Called with the flights done and their total at the start and after each batch.
         overwrite: Replace another dataset at `out`, finished or not.
+        held_out: Take a seed of a held-out suite, for a benchmark: training and tuning refuse such a dataset.
 
     Returns:
         The path of the dataset.
@@ -68,7 +70,7 @@ def generate(
         ValueError: A bad argument, another dataset in the way, or another process that writes it.
         OSError: The dataset cannot be written, or a worker died; finished flights stay.
     """
-    plan = _plan(config, flights, duration_s, seed, rate_hz)
+    plan = _plan(config, flights, duration_s, seed if held_out else unreserved(seed), rate_hz)
     if workers is None and plan.flights * plan.steps < WORTH_A_PROCESS and executor is None:
         workers = 1
     workers = process_count(workers, plan.flights)
@@ -89,7 +91,7 @@ def _plan(config: Recipe, flights: int, duration_s: float, seed: int, rate_hz: f
     try:
         return Plan(
             quadsim_version=version("quadsim"),
-            seed=unreserved(seed),
+            seed=seed,
             flights=flights,
             steps=steps_of(duration_s, rate_hz),
             rate_hz=rate_hz,

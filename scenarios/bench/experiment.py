@@ -7,7 +7,7 @@ equally often, so that the mean over the flights of a level is its main effect.
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -21,6 +21,8 @@ from quadsim.held_out import HeldOut, load_held_out, releases
 FOLDER = "scenarios/experiments"
 Levels = Mapping[str, str]
 """Axis to level."""
+Knowledge = Literal["airframe", "initial attitude"]
+"""What an estimator may be given beside readings."""
 
 
 class Condition(Strict):
@@ -81,7 +83,11 @@ class Experiment(Strict):
     like: str = ""
     """Experiment whose axes and conditions it has."""
     held_out: bool = False
-    """Whether scenarios, seed and flights are those of the newest held-out suite."""
+    """Whether scenarios, seed and flights are those of a held-out suite."""
+    release: str = ""
+    """Of the held-out suite; the newest where it is left out."""
+    given: tuple[Knowledge, ...] | None = None
+    """What estimators are given in every flight; None: what each scenario says."""
 
     def cases(self, scenarios: Sequence[str | Path] | None = None) -> "dict[str, Case]":
         """What is flown, by name, in these scenarios or in its own.
@@ -89,10 +95,16 @@ class Experiment(Strict):
         Raises:
             ValueError: No such scenario, one that a level does not fit, or two of one name.
         """
+        found = self._cases(scenarios)
+        if self.given is None:
+            return found
+        return {name: case._replace(scenario=told(case.scenario, self.given)) for name, case in found.items()}
+
+    def _cases(self, scenarios: Sequence[str | Path] | None) -> "dict[str, Case]":
         if self.held_out:
             if scenarios:
                 raise ValueError("the held-out suite has scenarios of its own: leave --scenario out")
-            return draw(load_held_out(releases()[-1]), self.axes)
+            return draw(load_held_out(self.release), self.axes)
         if self.sweeps and scenarios is None:
             return {
                 f"{name}={level:g}": Case(sweep.at(level), {name: f"{level:g} {sweep.unit}".rstrip()})
@@ -147,8 +159,7 @@ def load_experiment(source: str | Path) -> Experiment:
         other = load_experiment(found.like)
         update |= {key: getattr(other, key) for key in ("axes", "conditions", "always")}
     if found.held_out:
-        suite = load_held_out(releases()[-1])
-        update |= {"seeds": suite.flights, "seed": suite.seed}
+        found = of_release(found, found.release or releases()[-1])
     found = found.model_copy(update=update)
     for condition in found.conditions:
         axis = found.axes.get(condition.axis, {})
@@ -158,6 +169,22 @@ def load_experiment(source: str | Path) -> Experiment:
                 f'"{unknown[0]}"; {nearest(unknown[0], axis)}'
             )
     return found
+
+
+def of_release(experiment: Experiment, release: str) -> Experiment:
+    """A held-out experiment with the suite of a release.
+
+    Raises:
+        ValueError: The release has none.
+    """
+    suite = load_held_out(release)
+    return experiment.model_copy(update={"release": release, "seeds": suite.flights, "seed": suite.seed})
+
+
+def told(scenario: Scenario, given: Sequence[Knowledge]) -> Scenario:
+    """A scenario in which estimators are given these things and nothing else."""
+    start = scenario.start.model_copy(update={"known_attitude": "initial attitude" in given})
+    return scenario.model_copy(update={"vehicle_known": "airframe" in given, "start": start})
 
 
 def with_levels(base: Scenario, levels: Levels, axes: Mapping[str, Mapping[str, Any]]) -> Scenario:

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..recording import Array, Recording
+from ..recording import Array, Recording, Track
 
 RATE_HZ = 2000.0 / 7.0
 """Sample rate of the benchmark, where a file does not say."""
 
 
 def read_broad(path: Path) -> Recording:
-    """Read a trial: IMU in its own axes (FLU), optical attitude in a world with z up, and what is scored."""
+    """Read a trial: IMU in its own axes (FLU), magnetometer, attitude in a world with z up, what is scored."""
     content = {".hdf5": _hdf5, ".h5": _hdf5, ".mat": _mat, ".npz": _npz}[path.suffix.lower()](path)
     names = {"gyro": "imu_gyr", "acc": "imu_acc", "quat": "opt_quat"}
     found = {new: content.get(old, content.get(new)) for new, old in names.items()}
@@ -30,12 +30,13 @@ def read_broad(path: Path) -> Recording:
         return Recording(path.stem, "IMU's arrays", time, gyro, acc)
     valid = np.asarray(content.get("valid", np.ones(steps)), bool).ravel()
     trial = "opt_quat" in content
+    field = {"mag": Track(time, _rows(content["imu_mag"], 3) * 1e-6)} if "imu_mag" in content else {}
     return Recording(
         path.stem, "BROAD trial" if trial else "IMU's arrays", time, gyro, acc,
         truth="opt_quat: OptiTrack" if trial else "quat", truth_time=time, truth_axes="imu",
         quat=np.where(valid[:, None], _rows(found["quat"], 4), np.nan),
         marked=np.asarray(content.get("movement", np.ones(steps)), bool).ravel(),
-        notes=("hand-moved, not flown",) if trial else (),
+        notes=("hand-moved, not flown",) if trial else (), sensors=field,
     )  # fmt: skip
 
 

@@ -1,0 +1,166 @@
+"""The data of a task: made once in a folder, and read as groups of flights."""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from estimators.evaluation.flights import Flights, load_flights, vehicle_of
+from quadsim.config.toml import merged, parse
+from quadsim.dataset.generation import generate
+from quadsim.dataset.reading import open_dataset
+from quadsim.estimator import Readings
+from quadsim.flight.recipe import Recipe, load_recipe
+from quadsim.imu.spec import load_imu
+from quadsim.logs import read_log
+from quadsim.rotation import roll_pitch_from_quat
+from quadsim.runs.files import replace
+from quadsim.runs.fingerprint import file_digest, fingerprint
+from quadsim.vehicle import Vehicle
+
+from .specification import Foreign, Progress, Recorded, Simulated, Task
+
+ENDINGS = (".hdf5", ".mat", ".npz")
+"""Of BROAD's trials; where a folder has one trial in several forms, the first counts."""
+
+
+class Group(NamedTuple):
+    """Flights of one length and airframe."""
+
+    names: list[str]
+    flights: Flights
+    """Their truth is NaN where it is not scored."""
+    vehicle: Vehicle | None
+
+
+def make_data(
+    task: Task, folder: Path, recordings: Path | None, workers: int | None, progress: Progress
+) -> dict[str, str]:
+    """Make what is missing of a task's data; digests of the parts, empty where there is no data.
+
+    Args:
+        task: The task.
+        folder: Where the data are.
+        recordings: The user's folder of BROAD.
+        workers: Processes, by default one for each CPU.
+        progress: Called before each part.
+
+    Raises:
+        ValueError: A part is not what the task says: its digest differs.
+    """
+    found = {}
+    for k, (name, part) in enumerate(task.parts.items()):
+        progress(k, len(task.parts), part.title)
+        match part:
+            case Simulated():
+                changed = merged(load_recipe(part.recipe).model_dump(mode="json"), part.changes)
+                generate(
+                    parse(changed, Recipe, f"{task.version}: {name}"), part.flights, part.duration_s,
+                    folder / f"{name}.zarr", task.seed_of(name), task.rate_hz, workers, overwrite=True,
+                    held_out=True,
+                )  # fmt: skip
+            case Foreign():
+                for _ in foreign(task, name, part, folder, workers):
+                    pass
+            case Recorded():
+                convert(recordings, folder / name, task.rate_hz)
+        found[name] = digest_of(groups(task, name, folder))
+    progress(len(task.parts), len(task.parts), "")
+    return found
+
+
+def differing(task: Task, digests: Mapping[str, str]) -> list[str]:
+    """Parts whose data are not those of the task."""
+    wanted = {name: getattr(part, "digest", "") for name, part in task.parts.items()}
+    return [name for name, digest in wanted.items() if digest and digest != digests[name]]
+
+
+def digest_of(found: Iterator[Group]) -> str:
+    """SHA-256 of readings and true attitudes in single precision; empty without any."""
+    digest, some = hashlib.sha256(), False
+    for group in found:
+        for values in (group.flights.gyro, group.flights.accel, group.flights.quat):
+            digest.update(np.ascontiguousarray(values, "<f4").tobytes())
+            some = True
+    return digest.hexdigest() if some else ""
+
+
+def groups(task: Task, name: str, folder: Path) -> Iterator[Group]:
+    """The flights of a part; none of BROAD where the user has no folder of it."""
+    part = task.parts[name]
+    match part:
+        case Simulated():
+            yield _group(open_dataset(folder / f"{name}.zarr"), part.skip_s, "flight")
+        case Foreign():
+            for airframe, dataset in foreign(task, name, part, folder):
+                yield _group(dataset, part.skip_s, airframe)
+        case Recorded():
+            for file in sorted((folder / name).glob("*.npz")):
+                yield _trial(file, task.rate_hz)
+
+
+def foreign(
+    task: Task, name: str, part: Foreign, folder: Path, workers: int | None = 1
+) -> Iterator[tuple[str, xr.Dataset]]:
+    """Flights of RotorPy by airframe."""
+    from .rotorpy_flights import plans, rotorpy_flights
+
+    for k, airframe in enumerate(part.airframes):
+        planned, imu = plans(airframe, task.seed_of(name) + 10 * k), load_imu(part.imu)
+        yield airframe, rotorpy_flights(planned, folder / name, imu, part.duration_s, workers)
+
+
+def convert(source: Path | None, folder: Path, rate_hz: float) -> None:
+    """Trials of BROAD at a task's rate, with what their authors score, where they are not there yet.
+
+    Raises:
+        ValueError: The folder holds no trial.
+    """
+    if source is None:
+        return
+    trials: dict[str, Path] = {}
+    for ending in reversed(ENDINGS):
+        trials |= {file.stem: file for file in source.expanduser().rglob(f"[0-9][0-9]_*{ending}")}
+    if not trials:
+        raise ValueError(f"{source}: no trials of BROAD (01_undisturbed_slow_rotation_A.hdf5 and others)")
+    for name, file in trials.items():
+        digest, made = fingerprint(file_digest(file), rate_hz), folder / f"{name}.npz"
+        if made.is_file():
+            with np.load(made) as found:
+                if str(found["digest"]) == digest:
+                    continue
+        log = read_log(file, rate_hz).isel(flight=0)
+        arrays = {
+            key: log[key].to_numpy() for key in ("gyro", "accel", "quat", "scored", "mag") if key in log
+        }
+        replace(made, lambda part, arrays=arrays, digest=digest: np.savez(part, digest=digest, **arrays))
+
+
+def _trial(file: Path, rate_hz: float) -> Group:
+    with np.load(file) as found:
+        arrays = {key: found[key][None] for key in found.files if key != "digest"}
+    quat = arrays["quat"]
+    truth = np.where(arrays["scored"][..., None], roll_pitch_from_quat(quat), np.nan)
+    readings = Readings(arrays["gyro"], arrays["accel"], mag=arrays.get("mag"))
+    return Group([file.stem], Flights(readings, quat, truth, rate_hz), None)
+
+
+def _group(dataset: xr.Dataset, skip_s: float, name: str) -> Group:
+    flights = load_flights([dataset])
+    flights.truth[:, : round(skip_s * flights.rate_hz)] = np.nan
+    by_hand = json.loads(dataset.attrs["config"]).get("hand_held") is not None
+    names = [f"{name} {k}" for k in range(len(flights.truth))]
+    return Group(names, flights, None if by_hand else vehicle_of(dataset))
+
+
+def given_start(group: Group) -> Flights:
+    """Its flights from the sample on that follows the first with a known attitude, which is given."""
+    attitude = roll_pitch_from_quat(group.flights.quat)
+    known: NDArray[np.bool_] = np.isfinite(attitude).all(axis=(0, 2))
+    first = int(known.argmax())
+    return group.flights.map(lambda each: np.ascontiguousarray(each[:, first + 1 :]), attitude[:, first])

@@ -1,0 +1,120 @@
+"""What a task is: its data, made with held-out seeds, its closed loop, its metrics and its rules."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from quadsim.config.ranges import Between, Duration, SampleRate
+from quadsim.config.toml import Strict, load_toml
+from quadsim.held_out import SEEDS, load_held_out
+from quadsim.runs.fingerprint import fingerprint
+
+from ..bench.experiment import Experiment, Knowledge, load_experiment, of_release
+
+Progress = Callable[[int, int, str], None]
+SEEDS_EACH = 1000
+"""Seeds that each part of the data may take."""
+
+
+class Part(Strict):
+    """Flights or recordings on which estimators run without a loop."""
+
+    title: str
+    """Heading of its column, and what is flown, in a few words."""
+    skip_s: Annotated[float, Between(0.0, 60.0, "s")] = 5.0
+    """Time at the start that is not scored [s]."""
+
+
+class Simulated(Part):
+    """Flights of a recipe."""
+
+    source: Literal["recipe"]
+    recipe: str
+    """A shipped recipe, or a TOML file."""
+    changes: dict[str, Any] = Field(default_factory=dict)
+    """Keys of the recipe that are replaced."""
+    flights: Annotated[int, Between(1, SEEDS_EACH)]
+    duration_s: Duration
+    """Length of each [s]."""
+    digest: str = ""
+    """Of its numbers, see `data.digest_of`; empty: not checked."""
+
+
+class Foreign(Part):
+    """Four flights of each of some airframes in RotorPy."""
+
+    source: Literal["rotorpy"]
+    airframes: tuple[Literal["hummingbird", "crazyflie"], ...]
+    imu: str
+    duration_s: Duration
+    """Length of each [s]."""
+    digest: str = ""
+    """As that of `Simulated`."""
+
+
+class Recorded(Part):
+    """Trials of BROAD, from the user's own folder."""
+
+    source: Literal["broad"]
+    trials: Annotated[int, Between(1, 1000)]
+    """How many there are; without one of them the part has no mean."""
+    skip_s: Annotated[float, Between(0.0, 60.0, "s")] = 0.0
+    """Of its authors' metric: what they mark counts, and nothing else is left out [s]."""
+
+
+class Task(Strict):
+    """A file of `assets/tasks`."""
+
+    version: str
+    """Its name and version; what an entry got under another one is not comparable."""
+    description: str
+    release: str
+    """Whose held-out seeds all simulated flights have."""
+    closed_loop: str
+    """The experiment that is flown: held-out, or a TOML file."""
+    rate_hz: SampleRate
+    """Samples per second of everything."""
+    most_ms: Annotated[float, Between(1e-3, 1e4, "ms")]
+    """Time that an entry may take for a sample of one vehicle [ms]."""
+    parts: dict[str, Annotated[Simulated | Foreign | Recorded, Field(discriminator="source")]]
+    """What estimators run on without a loop, by name."""
+    metrics: dict[str, str]
+    """What is measured, in words."""
+    rules: tuple[str, ...]
+    """What an entry may and may not do, in words."""
+
+    def seed_of(self, part: str) -> int:
+        """The first seed of a part's data: it is in the range that the release reserves."""
+        offset = SEEDS_EACH * (1 + list(self.parts).index(part))
+        if offset + SEEDS_EACH > SEEDS:
+            raise ValueError(f"parts: {len(self.parts)} are more than the release has seeds for")
+        return load_held_out(self.release).seed + offset
+
+    def experiment(self, given: tuple[Knowledge, ...]) -> Experiment:
+        """The closed loop for entries that are given these things."""
+        found = load_experiment(self.closed_loop)
+        found = of_release(found, self.release) if found.held_out else found
+        return found.model_copy(update={"given": given})
+
+    @property
+    def fingerprint(self) -> str:
+        """Digest of all that it says."""
+        return fingerprint(
+            self.model_dump(mode="json"), load_experiment(self.closed_loop).model_dump(mode="json")
+        )
+
+
+def load_task(source: str | Path) -> Task:
+    """A shipped task ("attitude-1"), or the one in a TOML file.
+
+    Raises:
+        ValueError: One line with the file, the key, its value and what is allowed.
+    """
+    return load_toml(source, "tasks", Task)
+
+
+def titles(task: Task) -> Mapping[str, str]:
+    """Headings of the parts."""
+    return {name: part.title for name, part in task.parts.items()}
