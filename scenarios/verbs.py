@@ -19,8 +19,12 @@ from .bench.runner import Changes, bench
 from .bench.verdict import verdict
 from .compilation import compile_estimators
 from .report.evaluation import columns, recorded_section
+from .report.leaderboard import find_entries, flights_of, standing, write_leaderboard
 from .report.page import publish, write_report
 from .report.terminal import breaking_table, rows_table, standings_table
+from .task.entry import FILE
+from .task.run import run_task
+from .task.specification import load_task
 
 DEMO = ("hover", "step", "wind-gust", "initial-tilt")
 """Scenarios of the demonstration."""
@@ -69,6 +73,44 @@ def run_bench(
     print_verdict(page, results)
     if all(cell.reason for cell in results.cells):
         raise ValueError(f"no cell ran; {results.cells[0].estimator}: {results.cells[0].reason}")
+
+
+def run_entries(
+    out: Path, task: str, sources: Sequence[str], recordings: Path | None, workers: str | None
+) -> None:
+    """Run a task for entries and write the leaderboard of all in the folder: `quadsim bench --task`.
+
+    Raises:
+        ValueError: For a bad argument or file, or an entry that cannot be found.
+        OSError: If something cannot be written.
+    """
+    wanted, out = load_task(task), out.expanduser()
+    with alone(out):
+        with recorded(out), pool_of(workers) as (count, executor), progress_bar("run", "steps") as progress:
+            entries = run_task(
+                wanted, sources, out,
+                recordings=recordings, workers=count, executor=executor, progress=progress,
+            )  # fmt: skip
+        for entry in entries:
+            for reason in entry.reasons:
+                say(f"{entry.card.name} is not ranked: it {reason}", "yellow")
+        report_entries([out], out / "leaderboard.html")
+
+
+def has_entries(folder: Path) -> bool:
+    """Whether a folder holds entries of a task."""
+    return any(folder.glob(FILE)) or any(folder.glob(f"*/{FILE}"))
+
+
+def report_entries(folders: Sequence[Path], out: Path) -> None:
+    """Write the leaderboard of the entries in folders, and say who leads each track."""
+    entries = find_entries(folders)
+    page = write_leaderboard(out, entries)
+    leaders = {}
+    for track in sorted({each.card.track for each in entries}):
+        own = [each for each in entries if each.card.track == track]
+        leaders[track] = next(iter(standing(own, flights_of(own))), "nobody")
+    say(f"{page}: " + "; ".join(f"{track}: {name} leads" for track, name in leaders.items()))
 
 
 def report_benchmark(folder: Path, out: Path | None = None) -> None:

@@ -15,7 +15,7 @@ from ..circuit.circuit_records import ANGLE_DIGITS, EVENTS, Circuit
 from ..circuit.file import CircuitConfig
 from ..circuit.on_chip import populations
 from ..circuit.parameters import RATE_HZ, Parameters, quantised
-from ..evaluation.flights import load_flights
+from ..evaluation.flights import Flights, load_flights
 from ..metrics import absolute_error
 from .energy import PICOJOULES
 
@@ -46,7 +46,11 @@ class Measured:
 
 def measure(config: CircuitConfig, p: Parameters, data: Sequence[str | Path]) -> Measured:
     """Run a circuit on spikes over the flights of datasets."""
-    flights = load_flights([open_dataset(path) for path in data])
+    return measured(config, p, load_flights([open_dataset(path) for path in data]))
+
+
+def measured(config: CircuitConfig, p: Parameters, flights: Flights) -> Measured:
+    """Run a circuit on spikes over flights."""
     estimator = circuit_estimator("att-snn", p, config.steps_per_sample, flights.rate_hz)
     estimator.reset(len(flights.gyro))
     error = absolute_error(estimator.sequence(flights.gyro, flights.accel), flights.truth)

@@ -1,6 +1,7 @@
 """Conditions of flights, as set by `--set`: models, which take long to import and no `--help` needs."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated
 
 from ..config.ranges import Between, Engine
@@ -29,6 +30,19 @@ class Conditions(Sampling):
         """Fields that replace those of every scenario."""
         given = self.model_dump(exclude={"rate", "tuning"}) | {"duration_s": duration_s}
         return {name: value for name, value in given.items() if value is not None}
+
+
+class Recordings(Strict):
+    """What `--set` may say of a task: nothing that changes it."""
+
+    broad: str | None = None
+    """Folder of the trials of BROAD, as its authors publish them."""
+
+
+def recordings_of(texts: Sequence[str] | None) -> Path | None:
+    """The folder of recordings given by `--set`."""
+    folder = parse(fields_of(texts), Recordings, "--set").broad
+    return None if folder is None else Path(folder)
 
 
 def conditions_of(texts: Sequence[str] | None) -> Conditions:

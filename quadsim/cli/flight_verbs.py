@@ -76,6 +76,13 @@ def fly(
 
 def bench(
     out: Annotated[Path, typer.Option(help="Folder for report and tables.")] = Path("reports/bench"),
+    task: Annotated[
+        str | None,
+        typer.Option(
+            help="Task that each --estimator enters, attitude-1 or your own TOML file: writes its entry.json "
+            "and a leaderboard. --set broad=FOLDER gives the trials of BROAD."
+        ),
+    ] = None,
     experiment: Annotated[
         str,
         typer.Option(
@@ -130,11 +137,28 @@ def bench(
     Example: quadsim bench --experiment axes --estimator truth --estimator imm --out reports/axes
 
     Example: quadsim bench --workers tcp://127.0.0.1:8786 --seeds 100
+
+    Example: quadsim bench --task attitude-1 --estimator mine.py:Mine --out reports/attitude-1
     """
-    from scenarios.verbs import run_bench
+    from scenarios.verbs import run_bench, run_entries
 
-    from .conditions import conditions_of
+    from .conditions import conditions_of, recordings_of
 
+    if task is not None:
+        others = {
+            "--scenario": scenario,
+            "--controller": controller,
+            "--seeds": seeds,
+            "--duration": duration,
+        }
+        others |= {"--seed": seed, "--experiment": experiment != "suite"}
+        for name, value in others.items():
+            if value:
+                raise ValueError(f"{name} is not for --task, which says it itself")
+        if not estimator:
+            raise ValueError("--task: give at least one --estimator")
+        run_entries(out, task, estimator, recordings_of(set_), workers)
+        return
     given = conditions_of(set_)
     run_bench(
         out, experiment, scenario, estimator, controller or [], given.changes(duration),

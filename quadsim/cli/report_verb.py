@@ -10,9 +10,13 @@ from .options import Imu, Mount, Truth
 
 
 def report(
-    path: Annotated[
-        str,
-        typer.Argument(help="A folder of bench, a dataset (.zarr), weights (a file or a name), or a log."),
+    paths: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="PATH...",
+            help="A folder of bench, a dataset (.zarr), weights (a file or a name), or a log; or folders of "
+            "bench --task.",
+        ),
     ],
     out: Annotated[
         Path | None,
@@ -38,10 +42,11 @@ def report(
 ) -> None:
     """Show a benchmark, a dataset, weights or a log, depending on PATH.
 
-    Benchmark: writes its report again. Dataset: prints its contents; with --out, draws its distributions (the
-    paper's Fig. 3) and one flight. Weights of an Att-SNN: prints how many of the chip's cores it needs; with
-    --data, also its spikes, operations, modelled energy and error on these flights. Log: prints its contents,
-    its problems, and which signal is used as the truth.
+    Benchmark: writes its report again. Folders of bench --task: writes one leaderboard of all their entries.
+    Dataset: prints its contents; with --out, draws its distributions (the paper's Fig. 3) and one flight.
+    Weights of an Att-SNN: prints how many of the chip's cores it needs; with --data, also its spikes,
+    operations, modelled energy and error on these flights. Log: prints its contents, its problems, and which
+    signal is used as the truth.
 
     Opening a dataset compares files with their digests only if the size or the time stamp of a file has
     changed; --verify always compares them.
@@ -56,12 +61,17 @@ def report(
     """
     from estimators.circuit.file import is_circuit
     from estimators.networks.weights_file import END, shipped_controllers, shipped_names
-    from scenarios.verbs import report_benchmark
+    from scenarios.verbs import has_entries, report_benchmark, report_entries
 
-    place = Path(path).expanduser()
+    path, place = paths[0], Path(paths[0]).expanduser()
     given = {"--out": out, "--verify": verify, "--data": data}
     given |= {"--mount": mount, "--truth": truth, "--imu": imu, "--find-mount": find_mount}
-    if is_circuit(path):
+    if has_entries(place):
+        _refuse_others(given, "a task", "--out")
+        report_entries([Path(each) for each in paths], out or place / "leaderboard.html")
+    elif len(paths) > 1:
+        raise ValueError(f"{path}: holds no entry of a task; of other things give one PATH")
+    elif is_circuit(path):
         _refuse_others(given, "a circuit", "--data")
         _report_circuit(path, data or [])
     elif place.suffix == END or path in (*shipped_names(), *shipped_controllers()):

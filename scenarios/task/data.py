@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from estimators.evaluation.flights import Flights, load_flights, vehicle_of
 from quadsim.config.toml import merged, parse
@@ -138,7 +137,7 @@ def convert(source: Path | None, folder: Path, rate_hz: float) -> None:
         arrays = {
             key: log[key].to_numpy() for key in ("gyro", "accel", "quat", "scored", "mag") if key in log
         }
-        replace(made, lambda part, arrays=arrays, digest=digest: np.savez(part, digest=digest, **arrays))
+        replace(made, lambda part, arrays=arrays, digest=digest: np.savez(part, digest=digest, **arrays))  # pyright: ignore
 
 
 def _trial(file: Path, rate_hz: float) -> Group:
@@ -161,6 +160,6 @@ def _group(dataset: xr.Dataset, skip_s: float, name: str) -> Group:
 def given_start(group: Group) -> Flights:
     """Its flights from the sample on that follows the first with a known attitude, which is given."""
     attitude = roll_pitch_from_quat(group.flights.quat)
-    known: NDArray[np.bool_] = np.isfinite(attitude).all(axis=(0, 2))
-    first = int(known.argmax())
+    known = np.isfinite(attitude).all(axis=(0, 2))
+    first = int(np.argmax(known))
     return group.flights.map(lambda each: np.ascontiguousarray(each[:, first + 1 :]), attitude[:, first])

@@ -14,6 +14,7 @@ from quadsim.runs.fingerprint import fingerprint
 from ..bench.experiment import Experiment, Knowledge, load_experiment, of_release
 
 Progress = Callable[[int, int, str], None]
+"""progress(done, total, what is next)."""
 SEEDS_EACH = 1000
 """Seeds that each part of the data may take."""
 

@@ -15,7 +15,7 @@ RATE_HZ = 2000.0 / 7.0
 
 
 def read_broad(path: Path) -> Recording:
-    """Read a trial: IMU in its own axes (FLU), magnetometer, attitude in a world with z up, what is scored."""
+    """Read a trial: IMU and magnetometer in its axes (FLU), optical attitude (z up), and what is scored."""
     content = {".hdf5": _hdf5, ".h5": _hdf5, ".mat": _mat, ".npz": _npz}[path.suffix.lower()](path)
     names = {"gyro": "imu_gyr", "acc": "imu_acc", "quat": "opt_quat"}
     found = {new: content.get(old, content.get(new)) for new, old in names.items()}

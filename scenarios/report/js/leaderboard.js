@@ -1,0 +1,6 @@
+/* The leaderboard: tables that a heading sorts. */
+import { makeSortable } from "./tables.js";
+import { themed } from "./theme.js";
+
+themed(() => {});
+makeSortable();

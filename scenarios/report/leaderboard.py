@@ -1,0 +1,228 @@
+"""The leaderboard: entries of tasks go in; one HTML page that needs nothing else comes out."""
+
+import base64
+from collections.abc import Mapping, Sequence
+from io import BytesIO
+from itertools import groupby
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from estimators.appearance import looks
+from estimators.metrics import Summary
+from quadsim.runs.files import write_whole
+
+from ..bench.ranking import ranked
+from ..task.entry import FILE, Entry, load_entry
+from .page import script
+from .template import render
+
+ERROR = "error_deg"
+FOOTER = (
+    "Rank: flights survived first, then the later crash, then the error on flights that all of as many "
+    "survived. Better than the leader: the share of flights, averaged over scenarios, in which the error is "
+    "smaller than the leader's on the same flight; a crash is worse than any error, and equal flights count "
+    "half. Intervals are 95 %: Wilson's of crashes, the bootstrap's over scenarios, flights or trials "
+    "elsewhere."
+)
+
+
+class Cell(NamedTuple):
+    """A cell of the table."""
+
+    text: str
+    value: float | None  #: by which it is sorted
+    title: str = ""
+
+
+def find_entries(folders: Sequence[Path]) -> list[Entry]:
+    """The entries in folders, and in the folders inside these; the last of one task, code and name counts.
+
+    Raises:
+        ValueError: There is none, or a file is not an entry.
+    """
+    files = [
+        file
+        for folder in folders
+        for file in sorted([*folder.expanduser().glob(FILE), *folder.expanduser().glob(f"*/{FILE}")])
+    ]
+    found = {
+        (entry.version, entry.task, entry.code, entry.card.name): entry for entry in map(load_entry, files)
+    }
+    if not found:
+        raise ValueError(f"{', '.join(map(str, folders))}: no {FILE}; quadsim bench --task writes them")
+    return [found[key] for key in sorted(found)]
+
+
+def write_leaderboard(path: Path, entries: Sequence[Entry]) -> Path:
+    """Write the page; entries of another task or other code have a table of their own."""
+    boards = []
+    for (version, task, code), group in groupby(entries, lambda each: (each.version, each.task, each.code)):
+        own = list(group)
+        flights = flights_of(own)
+        names = [each.card.name for each in own if not each.reasons]
+        boards.append(
+            {
+                "title": f"{version} (task {task[:8]}, code {code[:8]})",
+                "tracks": [
+                    _track(track, own, flights) for track in sorted({each.card.track for each in own})
+                ],
+                "pictures": {
+                    "Performance profile": _encoded(profile(flights, names)),
+                    "Error and cost": _encoded(fronts(own)),
+                }
+                if names
+                else {},
+            }
+        )
+    page = render(
+        "report/leaderboard.html",
+        title="Leaderboard",
+        kicker="attitude estimation",
+        boards=boards,
+        footer=FOOTER,
+        script=script("report/js/leaderboard.js"),
+    )
+    return write_whole(path.expanduser(), page)
+
+
+def flights_of(entries: Sequence[Entry]) -> pd.DataFrame:
+    """The closed-loop flights of entries, a row each."""
+    rows = [
+        {"estimator": each.card.name, **flight.model_dump()}
+        for each in entries
+        if each.loop
+        for flight in each.loop.flights
+    ]
+    columns = ["estimator", "scenario", "seed", "cause", "flown_s", ERROR]
+    return pd.DataFrame(rows, columns=columns).astype({ERROR: float})
+
+
+def standing(entries: Sequence[Entry], flights: pd.DataFrame) -> list[str]:
+    """Names of the entries that are ranked, the leader first."""
+    names = [each.card.name for each in entries if not each.reasons and each.loop]
+    planned = list(dict.fromkeys(zip(flights["scenario"], flights["seed"], strict=True)))
+    own = pd.concat([flights.query("estimator == @name") for name in names]) if names else flights[:0]
+    return [place.name for place in ranked(own, planned, ERROR)]
+
+
+def improvement(flights: pd.DataFrame, name: str, leader: str) -> Summary:
+    """Share of a scenario's flights in which an entry does better than another, for each scenario.
+
+    The probability of improvement of Agarwal et al. (NeurIPS 2021) on paired flights.
+    """
+    score = flights.assign(score=flights[ERROR].where(flights["cause"] == "", np.inf).fillna(np.inf))
+    wide: Any = score.pivot(index=["scenario", "seed"], columns="estimator", values="score").fillna(np.inf)
+    wins = (wide[name] < wide[leader]) + 0.5 * (wide[name] == wide[leader])
+    return Summary(wins.groupby(level=0).mean().to_numpy())
+
+
+def _track(track: str, entries: Sequence[Entry], flights: pd.DataFrame) -> dict[str, Any]:
+    """The table of a track: ranked entries, the best first, then the others."""
+    own = {each.card.name: each for each in entries if each.card.track == track}
+    order = standing(list(own.values()), flights)
+    rows = []
+    for name in [*order, *(name for name in own if name not in order)]:
+        entry = own[name]
+        rank = Cell(str(order.index(name) + 1), order.index(name) + 1.0) if name in order else Cell("–", None)
+        cells = {"rank": rank} | _loop_cells(entry)
+        cells["better than the leader"] = Cell("–", None)
+        if name in order[1:]:
+            better = improvement(flights, name, order[0])
+            low, high = better.mean_interval()
+            cells["better than the leader"] = Cell(
+                f"{better.mean:.0%} ({low:.0%}–{high:.0%})".replace("%", " %"), better.mean
+            )
+        cells |= _part_cells(entry) | _cost_cells(entry)
+        why = f"not ranked: it {'; '.join(entry.reasons)}" if entry.reasons else ""
+        rows.append({"entry": entry, "cells": cells, "why": why})
+    headings = list(dict.fromkeys(heading for row in rows for heading in row["cells"]))
+    return {"name": track, "rows": rows, "headings": headings}
+
+
+def _loop_cells(entry: Entry) -> dict[str, Cell]:
+    loop = entry.loop
+    if loop is None:
+        return {"crashed": Cell("–", None), "error [°]": Cell("–", None)}
+    low, high = 100 * loop.crash_low, 100 * loop.crash_high
+    crashed = f"{loop.crashes} of {len(loop.flights)} ({low:.0f}–{high:.0f} %)"
+    share = loop.crashes / len(loop.flights) if loop.flights else None
+    error = Cell("–", None)
+    if loop.error_deg is not None:
+        error = Cell(f"{loop.error_deg:.2f} ({loop.low:.2f}–{loop.high:.2f})", loop.error_deg)
+    return {"crashed": Cell(crashed, share), "error [°]": error}
+
+
+def _part_cells(entry: Entry) -> dict[str, Cell]:
+    cells = {}
+    for name, part in entry.parts.items():
+        cells[f"{name} [°]"] = Cell("–", None, part.note)
+        if part.mean is not None:
+            cells[f"{name} [°]"] = Cell(f"{part.mean:.2f} ({part.low:.2f}–{part.high:.2f})", part.mean)
+    return cells
+
+
+def _cost_cells(entry: Entry) -> dict[str, Cell]:
+    cost = entry.cost
+    if cost is None:
+        return {}
+    found = {
+        "time [µs]": Cell(f"{cost.ns / 1e3:.1f}", cost.ns),
+        "memory [kB]": Cell(f"{cost.footprint / 1e3:.1f}", cost.footprint),
+        "parameters": Cell(str(entry.card.parameter_count), entry.card.parameter_count),
+    }
+    for heading, value in {"operations": cost.operations, "energy [nJ]": cost.nanojoules}.items():
+        found[heading] = Cell("–" if value is None else f"{value:.3g}", value, cost.model)
+    return found
+
+
+# --- pictures -------------------------------------------------------------------------------------
+
+
+def profile(flights: pd.DataFrame, names: Sequence[str]) -> Figure:
+    """Share of the flights whose error is below a limit, for each limit; a crash is above all of them."""
+    figure = Figure(figsize=(8.0, 4.2), layout="constrained")
+    axes = figure.subplots()
+    for name, look in looks(names).items():
+        own = flights.query("estimator == @name")
+        errors = np.sort(own.query("cause == ''")[ERROR].to_numpy())
+        share = np.arange(1, len(errors) + 1) / max(len(own), 1)
+        axes.step(
+            errors, share, where="post", label=name, color=look.colour, linestyle=look.points["linestyle"]
+        )
+    axes.set(xscale="log", xlabel="error [°]", ylabel="share of the flights below", ylim=(0.0, 1.0))
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=8)
+    return figure
+
+
+def fronts(entries: Sequence[Entry]) -> Figure:
+    """Error in closed loop against modelled energy and against time; the line joins what nothing beats."""
+    figure = Figure(figsize=(10.0, 4.2), layout="constrained")
+    shown = [each for each in entries if not each.reasons and each.loop and each.cost]
+    drawn = looks([each.card.name for each in shown])
+    panels: Mapping[str, Any] = {
+        "modelled energy a sample [nJ]": lambda cost: cost.nanojoules,
+        "time a sample in Python [µs]": lambda cost: cost.ns / 1e3,
+    }
+    for axes, (label, of) in zip(figure.subplots(1, 2), panels.items(), strict=True):
+        found = [(of(each.cost), each.loop and each.loop.error_deg, each.card.name) for each in shown]
+        points: list[Any] = sorted(point for point in found if None not in point)
+        for cost, error, name in points:
+            axes.plot(cost, error, drawn[name].marker, color=drawn[name].colour)
+            axes.annotate(name, (cost, error), (4, 4), textcoords="offset points", fontsize=7)
+        best = np.minimum.accumulate([error for _, error, _ in points]) if points else np.empty(0)
+        front = [(c, e) for (c, e, _), least in zip(points, best, strict=True) if e == least]
+        axes.plot([c for c, _ in front], [e for _, e in front], color="0.5", linewidth=0.8)
+        axes.set(xscale="log", xlabel=label, ylabel="error in closed loop [°]")
+        axes.grid(alpha=0.3)
+    return figure
+
+
+def _encoded(figure: Figure) -> str:
+    content = BytesIO()
+    figure.savefig(content, format="png", dpi=130)
+    return base64.b64encode(content.getvalue()).decode()

@@ -1,0 +1,200 @@
+"""What is checked and measured of an entry before its runs: its rules, its time, its size, its energy."""
+
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from estimators import create
+from estimators.analysis.activity import record
+from estimators.analysis.circuit import measured
+from estimators.analysis.energy import FLOAT_PICOJOULES, costs, counts
+from estimators.checking import check_estimator
+from estimators.circuit.file import is_circuit, load_circuit
+from estimators.evaluation.flights import Flights
+from estimators.networks.forward import OnLoihi
+from estimators.networks.weights_file import load_network
+from quadsim.estimator import AttitudeEstimator, receives_truth
+from quadsim.own import named_errors
+
+from .entry import Card, Cost, is_network
+from .specification import Task
+
+TIMED = 1000
+"""Samples that are timed."""
+PATIENCE_S = 120.0
+"""Time for compilation, and for all checks together [s]."""
+CHIP_S = 10.0
+"""Length of the flight on which a network's operations are counted [s]."""
+IN_FLOATS = "att-rnn"
+"""The circuit that ships, in floats."""
+TREE_DEPTH = 6
+"""How deep an instance is searched for its numbers."""
+
+_watched: list[str] = []
+_opened: list[str] = []
+_hooked: list[bool] = []
+
+
+class Examined(NamedTuple):
+    """What was found of an entry."""
+
+    cost: Cost | None
+    reasons: tuple[str, ...]
+    runs: bool  #: whether it may run on the parts
+
+
+def examine(task: Task, card: Card, folder: Path, flights: Flights) -> Examined:
+    """Check and measure an entry.
+
+    Args:
+        task: The task.
+        card: The entry's card.
+        folder: Of the task's data, which the entry must not open.
+        flights: Some of its flights.
+    """
+    reasons, opened = list[str](), list[str]()
+    try:
+        with (
+            watching(folder) as opened,
+            deadline(PATIENCE_S, f"took more than {PATIENCE_S:g} s for its checks"),
+        ):
+            made = create(card.source, card.rate_hz, vehicle="hummingbird")
+            if receives_truth(made):
+                reasons.append("received the true attitude")
+            check_estimator(card.source, card.rate_hz, accurate=False)
+            with named_errors(card.name):
+                cost = cost_of(card, made, flights)
+    except (ValueError, OSError) as error:
+        return Examined(None, (*reasons, *opened_files(opened), f"did not pass the checks: {error}"), False)
+    if cost.ns > task.most_ms * 1e6:
+        late = f"took {cost.ns / 1e6:.3g} ms a sample, and {task.most_ms:g} ms are allowed"
+        return Examined(cost, (*reasons, *opened_files(opened), late), False)
+    return Examined(cost, (*reasons, *opened_files(opened)), True)
+
+
+def cost_of(card: Card, made: AttitudeEstimator, flights: Flights) -> Cost:
+    """What a sample of one vehicle costs, measured, counted or as the card says."""
+    one = flights.readings.map(lambda each: each[:1, :TIMED])
+    sensors = tuple(name for name in one.others if name in card.given)
+    made.reset(1, roll_pitch=None)
+    taken = []
+    for t in range(one.gyro.shape[1]):
+        sample = one.map(lambda each, t=t: each[:, t].copy())
+        if receives_truth(made):
+            made.observe(flights.quat[:1, t].copy())  # pyright: ignore[reportAttributeAccessIssue]
+        begin = time.perf_counter_ns()
+        sample.give(made.update, sensors)
+        taken.append(time.perf_counter_ns() - begin)
+    operations, nanojoules, model = energy_of(card, flights)
+    return Cost(
+        ns=float(np.median(taken)),
+        footprint=footprint(made),
+        operations=operations,
+        nanojoules=nanojoules,
+        model=model,
+    )
+
+
+def energy_of(card: Card, flights: Flights) -> tuple[float | None, float | None, str]:
+    """Operations of a sample, their modelled energy [nJ], and how they were found."""
+    chip = "counted on the emulated chip; Davies et al. 2018"
+    source = card.source
+    if is_network(source) and source != IN_FLOATS:
+        piece = flights.map(lambda each: each[:1, : round(CHIP_S * flights.rate_hz)])
+        if is_circuit(source):
+            config, parameters = load_circuit(source)
+            found = measured(config, parameters, piece)
+            steps = config.steps_per_sample
+            return found.synaptic_events * steps, found.nanojoules * steps, chip
+        config, tensors = load_network(source)
+        if config.model == "att-snn":
+            core = OnLoihi(config, tensors)
+            counted = counts(core, record(core, piece.gyro, piece.accel))
+            return counted["synaptic event"], sum(each.nanojoules for each in costs(counted)), chip
+    operations, how = card.operations, "as its class says"
+    if is_network(source):  # in floats: NeuroBench's dense synaptic operations, each a product and a sum
+        operations, how = 2.0 * card.parameter_count, "two for each weight"
+    if operations is None:
+        return None, None, ""
+    return operations, operations * FLOAT_PICOJOULES / 1e3, f"{how}; Horowitz 2014, arithmetic alone"
+
+
+def footprint(made: object) -> int:
+    """Bytes of the numbers that an instance holds, in arrays and tensors, in lists and in its own objects."""
+    seen: set[int] = set()
+
+    def size(value: Any, depth: int) -> int:
+        if id(value) in seen or depth > TREE_DEPTH:
+            return 0
+        seen.add(id(value))
+        if isinstance(value, np.ndarray | np.generic):
+            return value.nbytes
+        if isinstance(value, bool | int | float):
+            return 8
+        if hasattr(value, "element_size"):  # a tensor of PyTorch
+            return value.element_size() * value.nelement()
+        if isinstance(value, dict):
+            return sum(size(each, depth + 1) for each in value.values())
+        if isinstance(value, list | tuple):
+            return sum(size(each, depth + 1) for each in value)
+        return sum(size(each, depth + 1) for each in getattr(value, "__dict__", {}).values())
+
+    return size(made, 0)
+
+
+# --- what an entry must not do --------------------------------------------------------------------
+
+
+@contextmanager
+def watching(*folders: Path) -> Iterator[list[str]]:
+    """A list of the files below some folders that are opened inside, by Python's own means."""
+    if not _hooked:
+        sys.addaudithook(_audit)
+        _hooked.append(True)
+    _opened.clear()
+    _watched[:] = [os.path.realpath(folder) + os.sep for folder in folders]
+    found: list[str] = []
+    try:
+        yield found
+    finally:
+        _watched.clear()
+        found += dict.fromkeys(_opened)
+
+
+def _audit(event: str, arguments: tuple[Any, ...]) -> None:
+    if event == "open" and _watched and isinstance(arguments[0], str | bytes):
+        path = os.path.realpath(os.fsdecode(arguments[0]))
+        if path.startswith(tuple(_watched)):
+            _opened.append(path)
+
+
+def opened_files(opened: list[str]) -> list[str]:
+    """The reason why an entry that opened files of the data is not ranked."""
+    return [f"opened {Path(opened[0]).name}, which holds the task's data"] if opened else []
+
+
+@contextmanager
+def deadline(seconds: float, why: str) -> Iterator[None]:
+    """End what is done inside after a time, with a TimeoutError, where signals can be had."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(*_: object) -> None:
+        raise TimeoutError(why)
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
