@@ -85,6 +85,18 @@ class Deaf(Fair):
         super().reset(n, None if roll_pitch is None else np.full((n, 2), np.nan))
 
 
+class Shared(Fair):
+    last = np.zeros(2)
+
+    def update(self, gyro, accel):
+        out, Shared.last = 0.5 * super().update(gyro, accel) + 0.5 * Shared.last, self.angle[0]
+        return out
+
+    def reset(self, n=1, roll_pitch=None):
+        super().reset(n, roll_pitch)
+        Shared.last = np.zeros(2)
+
+
 @pytest.mark.parametrize(
     ("broken", "check"),
     [
@@ -99,6 +111,7 @@ class Deaf(Fair):
         (spoiled(reuse), "keeps_arrays"),
         (OtherSequence, "sequence_equals_stream"),
         (Remembers, "repeatable"),
+        (Shared, "instances_apart|batch_equals_single"),
         (Forever, "missing_samples"),
         (Deaf, "known_start"),
     ],
