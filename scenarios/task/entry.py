@@ -205,6 +205,6 @@ def _packages(source: str) -> dict[str, str]:
     statements = [
         each for file in own_sources(source) for each in read_source(file.read_text("utf-8")).imports
     ]
-    imported = {parts[0] for level, parts in statements if level == 0 and parts}
+    imported = {parts[0].partition(".")[0] for level, parts in statements if level == 0 and parts}
     names = {installed[each][0] for each in imported if each in installed} - {"quadsim", "numpy"}
     return {name: version(name) for name in sorted(names)}

@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import FunctionType, ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -142,7 +143,11 @@ def footprint(made: object) -> int:
             return sum(size(each, depth + 1) for each in value.values())
         if isinstance(value, list | tuple):
             return sum(size(each, depth + 1) for each in value)
-        return sum(size(each, depth + 1) for each in getattr(value, "__dict__", {}).values())
+        code = isinstance(value, ModuleType | type | FunctionType) or type(value).__module__.startswith(
+            "numba"
+        )
+        parts = {} if code else getattr(value, "__dict__", None)
+        return size(parts, depth) if isinstance(parts, dict) else 0
 
     return size(made, 0)
 

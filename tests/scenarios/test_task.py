@@ -165,7 +165,7 @@ def test_an_entry_is_given_what_its_card_declares_and_nothing_else(place):
     assert entry.parts["home"].mean < 15.0
     assert entry.parts["hand"].note == "there is no airframe to be given"
     plain = load_entry(place / "out" / "Mine" / "entry.json")
-    assert entry.loop.flights[0].error_deg < 0.5 * plain.loop.flights[0].error_deg
+    assert entry.loop.flights[2].error_deg < 0.5 * plain.loop.flights[2].error_deg  # which begins tilted
     asks = FAIR.replace("Mine", "Asks").replace("(self, gyro, accel)", "(self, gyro, accel, rotor_vel=None)")
     assert entered(place, "Asks", asks).card.given == ("rotor_vel",)
     with pytest.raises(ValueError, match='given = "airfame"; did you mean "airframe"'):
@@ -215,7 +215,7 @@ def test_every_baseline_is_a_sound_entry(package, source):
     check_estimator(f"{BASELINES}/{source}")
     card = card_of(f"{BASELINES}/{source}", 200.0)
     assert card.track == "IMU"
-    assert {name.lower() for name in card.packages} >= {package} - {"riann"}
+    assert {name.lower() for name in card.packages} >= {package.replace("riann", "onnxruntime")}
 
 
 # --- the leaderboard --------------------------------------------------------------------------------
