@@ -65,6 +65,7 @@ EXTRAS = {
     "onnx": "export",
     "pyulog": "logs",
     "rosbags": "logs",
+    "rotorpy": "task",
     "torch": "train",
 }
 """Packages that not every installation has, and the extra that brings each."""

@@ -76,8 +76,8 @@ def export(
     format: Annotated[
         str,
         typer.Option(
-            help="For a dataset: netcdf, parquet (one flat table), csv (EuRoC folders) or rosbag2. For "
-            "weights: c99 (spiking networks), nir (networks of layers) or onnx (GRU networks). "
+            help="For a dataset: netcdf, parquet (one flat table), huggingface (a folder with its card), csv "
+            "(EuRoC folders) or rosbag2. For weights: c99 (spiking networks), nir (networks of layers) or onnx (GRU networks). "
             "For logs: zarr (a dataset)."
         ),
     ],

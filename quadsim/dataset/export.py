@@ -1,4 +1,4 @@
-"""Datasets in the formats of other tools: NetCDF, Parquet, EuRoC (ASL) folders of CSV, and ROS 2 bags.
+"""Datasets in the formats of other tools: NetCDF, Parquet, Hugging Face, EuRoC (ASL) folders, and ROS 2 bags.
 
 Only the samples before a flight's end are exported, except to NetCDF, which holds the whole dataset. Time
 counts from the start of each flight. What no log of a recorded dataset holds is NaN.
@@ -37,6 +37,33 @@ TRUTH_HEADER = "#timestamp," + ",".join(
     )
     for label in labels
 )
+CARD = """---
+pretty_name: Flights simulated by quadsim
+task_categories: [time-series-forecasting]
+tags: [imu, attitude-estimation, quadrotor, neuromorphic]
+configs:
+  - config_name: default
+    data_files: data/flights.parquet
+---
+
+# Flights simulated by quadsim
+
+{n} flights of {duration_s:g} s at {rate_hz:g} Hz, a row for each sample, from quadsim {quadsim_version} with
+seed {seed}. Name a licence here before you publish the folder.
+
+| columns | unit | content |
+|---|---|---|
+| `flight` | 1 | number of the flight |
+| `time` | s | time since the start of the flight |
+{columns}
+
+The recipe of the flights, as JSON:
+
+```json
+{config}
+```
+"""
+"""Card of a Hugging Face dataset."""
 TRUTH = ("position", "quat", "velocity", "gyro_bias", "accel_bias")
 
 
@@ -48,7 +75,8 @@ def export(
     Args:
         path: A dataset.
         out: The file (netcdf, parquet) or folder (csv, rosbag2) to write; must not exist.
-        format: One of FORMATS: "netcdf", "parquet", "csv" (EuRoC layout) or "rosbag2".
+        format: One of FORMATS: "netcdf", "parquet", "huggingface" (a folder of Parquet with its card), "csv"
+            (EuRoC layout) or "rosbag2".
         progress: Called with the flights written and their total.
 
     Returns:
@@ -112,6 +140,19 @@ def _parquet(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
             columns = [np.full(steps, flight, "i4"), one["time"].to_numpy()]
             columns += [column for name in VARIABLES for column in one[name].to_numpy().T]
             writer.write_table(arrow.table([arrow.array(column) for column in columns], schema=schema))
+
+
+def _huggingface(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
+    """The folder of a Hugging Face dataset: its card, README.md, and one table of samples in Parquet."""
+    (out / "data").mkdir(parents=True)
+    _parquet(dataset, out / "data" / "flights.parquet", progress)
+    rows = []
+    for name, each in VARIABLES.items():
+        labels = ", ".join(f"`{name}_{label}`" for label in dataset[each.dim].to_numpy())
+        rows.append(f"| {labels} | {each.units} | {each.long_name} |")
+    (out / "README.md").write_text(
+        CARD.format(columns="\n".join(rows), **dataset.attrs, n=dataset.sizes["flight"])
+    )
 
 
 def _euroc(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
@@ -215,5 +256,6 @@ FORMATS: dict[str, Callable[[xr.Dataset, Path, Progress], None]] = {
     "netcdf": _netcdf,
     "csv": _euroc,
     "parquet": _parquet,
+    "huggingface": _huggingface,
     "rosbag2": _rosbag2,
 }

@@ -72,6 +72,19 @@ def test_a_dataset_whose_imu_is_unknown_is_exported_without_its_noise(source, tm
         assert np.isfinite(table["gyro_x"]).all()
 
 
+def test_a_hugging_face_folder_has_a_card_and_the_table(source, tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    folder = export(source, tmp_path / "hub", "huggingface")
+    card = (folder / "README.md").read_text()
+    file = card.split("data_files: ")[1].split()[0]
+    table = parquet.ParquetFile(folder / file)
+    assert table.metadata.num_rows == sum(ENDS)
+    assert card.startswith("---\npretty_name:")
+    for name in table.schema_arrow.names:
+        assert f"`{name}`" in card
+    assert json.loads(card.split("```json")[1].split("```")[0])["vehicle"]["name"] == "hummingbird"
+
+
 def test_parquet_holds_every_sample_flown_as_a_row_with_units(source, tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet")
     file = parquet.ParquetFile(export(source, tmp_path / "x.parquet", "parquet"))
