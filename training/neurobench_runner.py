@@ -12,8 +12,8 @@ from __future__ import annotations
 from typing import Any
 
 import torch
-from neurobench.metrics.abstract.workload_metric import WorkloadMetric
-from neurobench.models import NeuroBenchModel
+from neurobench.metrics.abstract.workload_metric import WorkloadMetric  # pyright: ignore[reportMissingImports]
+from neurobench.models import NeuroBenchModel  # pyright: ignore[reportMissingImports]
 from torch import Tensor, nn
 
 from estimators.metrics import inclination_rmse

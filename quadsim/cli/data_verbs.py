@@ -77,7 +77,8 @@ def export(
         str,
         typer.Option(
             help="For a dataset: netcdf, parquet (one flat table), huggingface (a folder with its card), csv "
-            "(EuRoC folders) or rosbag2. For weights: c99 (spiking networks), nir (networks of layers) or onnx (GRU networks). "
+            "(EuRoC folders) or rosbag2. For weights: c99 (spiking networks), nir (networks of layers) or "
+            "onnx (GRU networks). "
             "For logs: zarr (a dataset)."
         ),
     ],
