@@ -11,7 +11,7 @@ from pydantic import Field, ValidationError
 from estimators.circuit.file import is_circuit, load_circuit
 from estimators.custom import GROUP, is_custom, own_sources
 from estimators.networks.weights_file import load_network, shipped_names
-from estimators.registry import NETWORKS, is_weights, needs_vehicle, parameters
+from estimators.registry import NETWORKS, SHIPPED, is_weights, needs_vehicle, parameters
 from quadsim.config.toml import Strict, nearest
 from quadsim.estimator import OTHERS, accepted_sensors
 from quadsim.own import load_own
@@ -20,6 +20,8 @@ from quadsim.runs.fingerprint import content_digest, fingerprint, read_source
 from ..bench.experiment import Knowledge
 
 FILE = "entry.json"
+PACKAGED = "filters.packaged:"
+"""Where the filters of other packages that ship are made."""
 TAKE_ROTOR_SPEEDS = ("imm",)
 """Estimators that ship and use them; every other filter accepts them and does not."""
 
@@ -40,9 +42,15 @@ class Card(Strict):
     parameter_count: int
     """Numbers that were learnt or tuned: a class says `parameter_count`, else those that it declares."""
     operations: float | None
-    """Additions and multiplications of a sample, as a class says in `operations`."""
+    """Of a sample, as a class says in `operations`; else they are counted, where its source is Python."""
     packages: dict[str, str]
     """Installed packages that its file imports, and their versions."""
+
+    @property
+    def compiled(self) -> bool:
+        """Whether what it computes is, or may be, in a package that is not of Python source."""
+        shipped = SHIPPED.get(self.source)
+        return bool(self.packages) or (shipped is not None and shipped.made_by.startswith(PACKAGED))
 
     @property
     def track(self) -> str:

@@ -26,6 +26,7 @@ from quadsim.estimator import AttitudeEstimator, receives_truth
 from quadsim.own import named_errors
 
 from .entry import Card, Cost, is_network
+from .operations import counted_operations
 from .specification import Task
 
 TIMED = 1000
@@ -118,6 +119,8 @@ def energy_of(card: Card, flights: Flights) -> tuple[float | None, float | None,
             counted = counts(core, record(core, piece.gyro, piece.accel))
             return counted["synaptic event"], sum(each.nanojoules for each in costs(counted)), chip
     operations, how = card.operations, "as its class says"
+    if operations is None and not is_network(source) and not card.compiled:
+        operations, how = counted_operations(source, card.rate_hz), "counted in its Python source"
     if is_network(source):  # in floats: NeuroBench's dense synaptic operations, each a product and a sum
         operations, how = 2.0 * card.parameter_count, "two for each weight"
     if operations is None:

@@ -189,7 +189,7 @@ def test_an_entry_that_hangs_is_ended(place, monkeypatch):
     assert "took more than 0.5 s" in entered(place, "Hangs", hangs).reasons[0]
 
 
-def test_a_network_has_operations_and_energy_and_a_filter_what_its_class_says(place, task):
+def test_operations_of_a_network_and_in_the_source_of_a_filter_are_counted(place, task):
     (entry,) = run_task(
         task.model_copy(update={"parts": {"home": task.parts["home"]}}), ["att-snn"], place / "net", workers=1
     )
@@ -198,7 +198,10 @@ def test_a_network_has_operations_and_energy_and_a_filter_what_its_class_says(pl
     assert "Davies" in entry.cost.model
     assert entry.card.parameter_count > 100
     mine = load_entry(place / "out" / "Mine" / "entry.json")
-    assert (mine.cost.operations, mine.cost.nanojoules) == (30.0, pytest.approx(30.0 * 2.3e-3))
+    assert (mine.cost.operations, mine.cost.nanojoules) == (13.0, pytest.approx(13.0 * 2.3e-3))
+    assert mine.cost.model.startswith("counted in its Python source")
+    filtered = load_entry(place / "out" / "mahony" / "entry.json")
+    assert 50.0 < filtered.cost.operations < 500.0
 
 
 @pytest.mark.parametrize(

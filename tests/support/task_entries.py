@@ -40,7 +40,6 @@ class Mine:
     \"\"\"A complementary filter.\"\"\"
 
     given = ()  # nothing
-    operations = 30
 
     def __init__(self, rate_hz):
         self.rate_hz = rate_hz
