@@ -24,15 +24,14 @@ duration_s = 3.0
 skip_s = 1.0
 """
 LOOP = """description = "Two short hovers."
-scenarios = ["hover", "{folder}/short.toml"]
+scenarios = ["{folder}/level.toml", "{folder}/tilted.toml"]
 seeds = 2
 seed = 904000000
 """
-SHORT = """description = "Hover from a tilt."
+LEVEL = """description = "Hover."
 duration_s = 1.0
-[start]
-tilt_deg = 20.0
 """
+TILTED = LEVEL + "start = { tilt_deg = 20.0 }\n"
 FAIR = """
 import numpy as np
 
@@ -40,6 +39,7 @@ class Mine:
     \"\"\"A complementary filter.\"\"\"
 
     given = ()  # nothing
+    operations = 30
 
     def __init__(self, rate_hz):
         self.rate_hz = rate_hz
