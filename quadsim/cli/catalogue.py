@@ -20,6 +20,7 @@ HOW = {
     "externals": "quadsim bench --set external=NAME, or a TOML file",
     "recipes": "quadsim generate --recipe NAME, or a TOML file",
     "presets": "quadsim train --preset NAME, or a TOML file",
+    "tasks": "quadsim bench --task NAME, or a TOML file",
     "tuning": "--set tuning=NAME, or a file written by quadsim tune; quadsim evaluate --tuning NAME",
     "weights": "--estimator NAME; quadsim report NAME; quadsim export NAME",
 }

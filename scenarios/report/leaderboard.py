@@ -133,9 +133,8 @@ def _track(track: str, entries: Sequence[Entry], flights: pd.DataFrame) -> dict[
         if name in order[1:]:
             better = improvement(flights, name, order[0])
             low, high = better.mean_interval()
-            cells["better than the leader"] = Cell(
-                f"{better.mean:.0%} ({low:.0%}–{high:.0%})".replace("%", " %"), better.mean
-            )
+            shares = f"{100 * better.mean:.0f} % ({100 * low:.0f}–{100 * high:.0f})"
+            cells["better than the leader"] = Cell(shares, better.mean)
         cells |= _part_cells(entry) | _cost_cells(entry)
         why = f"not ranked: it {'; '.join(entry.reasons)}" if entry.reasons else ""
         rows.append({"entry": entry, "cells": cells, "why": why})
@@ -148,7 +147,7 @@ def _loop_cells(entry: Entry) -> dict[str, Cell]:
     if loop is None:
         return {"crashed": Cell("–", None), "error [°]": Cell("–", None)}
     low, high = 100 * loop.crash_low, 100 * loop.crash_high
-    crashed = f"{loop.crashes} of {len(loop.flights)} ({low:.0f}–{high:.0f} %)"
+    crashed = f"{loop.crashes} of {len(loop.flights)} ({low:.1f}–{high:.1f} %)"
     share = loop.crashes / len(loop.flights) if loop.flights else None
     error = Cell("–", None)
     if loop.error_deg is not None:
