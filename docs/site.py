@@ -27,6 +27,7 @@ from quadsim.flight.scenario import Scenario
 from quadsim.held_out import HeldOut
 from quadsim.imu.spec import ImuSpec
 from quadsim.vehicle import Vehicle
+from scenarios.task.specification import Task
 from training.config import CircuitTraining, TrainingRecipe
 
 ROOT = Path(__file__).parents[1]
@@ -40,6 +41,7 @@ KINDS: dict[str, tuple[type[BaseModel], str]] = {
     "preset of a network of layers": (TrainingRecipe, "How a network of layers is trained: the same."),
     "tuning": (Tuned, "A filter's parameters, a table for each: `assets/tuning/`, `--set tuning=`."),
     "held-out": (HeldOut, "A held-out suite: `assets/held-out/`."),
+    "task": (Task, "A task that others enter: `assets/tasks/`, `quadsim bench --task`."),
 }
 """Kinds of TOML files, the model that checks each, and where it is used."""
 BLOCK = re.compile(
