@@ -68,10 +68,11 @@ def run_task(
     for source in dict.fromkeys(sources):
         card = card_of(source, task.rate_hz)
         entered.append(Entered(card, digest_of_entry(source), out / card.name))
-    if len({each.folder for each in entered}) < len(entered):
-        raise ValueError(f"two entries have one name: {', '.join(each.card.source for each in entered)}")
+    data = out / "data"
+    if len({data, *(each.folder for each in entered)}) <= len(entered):
+        named = ", ".join(each.card.source for each in entered)
+        raise ValueError(f'two entries have one name, or one is called "data": {named}')
     with alone(out):
-        data = out / "data"
         digests = make_data(task, data, recordings, workers, progress)
         code = fingerprint(flight_code(), code_digest("scenarios.task.run"))
         about = {"version": task.version, "task": task.fingerprint, "code": code, "data": digests}

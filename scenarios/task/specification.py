@@ -1,6 +1,6 @@
 """What a task is: its data, made with held-out seeds, its closed loop, its metrics and its rules."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -114,8 +114,3 @@ def load_task(source: str | Path) -> Task:
         ValueError: One line with the file, the key, its value and what is allowed.
     """
     return load_toml(source, "tasks", Task)
-
-
-def titles(task: Task) -> Mapping[str, str]:
-    """Headings of the parts."""
-    return {name: part.title for name, part in task.parts.items()}

@@ -183,6 +183,13 @@ def test_an_entry_that_breaks_a_rule_is_listed_with_the_reason_and_not_ranked(pl
     assert standing([entry], flights_of([entry])) == []
 
 
+def test_two_entries_of_one_name_are_refused(place, task):
+    (place / "other.py").write_text(FAIR)
+    sources = [f"{place}/mine.py:Mine", f"{place}/other.py:Mine"]
+    with pytest.raises(ValueError, match="two entries have one name"):
+        run_task(task, sources, place / "out", workers=1)
+
+
 def test_an_entry_that_hangs_is_ended(place, monkeypatch):
     monkeypatch.setattr("scenarios.task.examination.PATIENCE_S", 0.5)
     hangs = FAIR.replace("Mine", "Hangs").replace("gyro = np", "while True: pass\n        gyro = np")

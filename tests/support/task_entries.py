@@ -67,11 +67,8 @@ BAD = [
     ),
     (
         "Global",
-        (
-            "self.angle = 0.99 * (",
-            "self.__class__.n = getattr(self, 'n', 0) + 1\n        self.angle = 1e-6 * self.n + 0.99 * (",
-        ),
-        "did not pass the checks",
+        ("self.angle", "Global.angle"),
+        "instances share no state",
     ),
     ("Reads", ("self.rate_hz = rate_hz", READS), "which holds the task's data"),
     (
