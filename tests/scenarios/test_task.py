@@ -104,7 +104,7 @@ def test_broad_is_scored_by_its_authors_metric_where_all_its_trials_are_there(ta
     time = np.arange(0.0, 8.0, 7.0 / 2000.0)
     quat = quat_from_euler(0.5 * np.sin(time), 0.3 * np.sin(2.0 * time), 0.2 * time)
     readings = {"imu_gyr": np.zeros((time.size, 3)), "imu_acc": np.tile([0.0, 0.0, 9.81], (time.size, 1))}
-    moving = (time > 2.0) & (time < 6.0)
+    moving = (time > 1.0) & (time < 3.0)
     trial = {
         "opt_quat": quat,
         "movement": moving,
