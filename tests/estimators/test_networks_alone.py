@@ -48,7 +48,7 @@ def test_the_silenced_error_is_at_least_three_times_the_error(name, weights, val
 
 
 @pytest.mark.parametrize("name", CORES)
-def test_the_input_part_of_the_state_is_the_last_inputs_and_a_count(name):
+def test_the_input_part_of_the_state_is_the_last_inputs_and_three_counts(name):
     config, tensors = load_network("att-rnn-paper" if name == "att-rnn" else "att-snn-paper")
     est = NetworkEstimator(CORES[name](config, tensors), config.rate_hz)
     rng = np.random.default_rng(0)
@@ -56,7 +56,7 @@ def test_the_input_part_of_the_state_is_the_last_inputs_and_a_count(name):
     est.reset(5)
     encoder = est.states
     assert encoder.shape == (5,)
-    assert encoder.dtype.names[:2] == ENCODER.names == ("inputs", "missing")
+    assert encoder.dtype.names[:4] == ENCODER.names == ("inputs", "missing", "age", "good")
     est.sequence(gyro, accel)
     x = scaled_inputs(config.inputs, gyro[:, -1:], accel[:, -1:])[:, 0]
     np.testing.assert_array_equal(encoder["inputs"], 1024 * x)
