@@ -28,12 +28,12 @@ class EstimatorModel(NeuroBenchModel):
         super().__init__()
         self.estimator = estimator
 
-    def __call__(self, batch: Tensor) -> Tensor:
+    def __call__(self, batch: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Roll and pitch (n, steps, 2) [rad] of readings (n, steps, 6)."""
         readings = batch.numpy().astype(float)
         return torch.from_numpy(run(self.estimator, readings[..., :3], readings[..., 3:])).float()
 
-    def __net__(self) -> nn.Module:
+    def __net__(self) -> nn.Module:  # pyright: ignore[reportIncompatibleMethodOverride]
         """The estimator where it is a PyTorch module, else one without parameters."""
         return self.estimator if isinstance(self.estimator, nn.Module) else nn.Module()
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from importlib.metadata import packages_distributions, version
 from pathlib import Path
-from typing import Any, get_args
+from typing import Annotated, Any, get_args
 
 import numpy as np
 from pydantic import Field, ValidationError
@@ -12,12 +12,17 @@ from estimators.circuit.file import is_circuit, load_circuit
 from estimators.custom import GROUP, is_custom, own_sources
 from estimators.networks.weights_file import load_network, shipped_names
 from estimators.registry import NETWORKS, SHIPPED, is_weights, needs_vehicle, parameters
+from quadsim.config.ranges import Between, SampleRate, Share
 from quadsim.config.toml import Strict, nearest
 from quadsim.estimator import OTHERS, accepted_sensors
 from quadsim.own import load_own
 from quadsim.runs.fingerprint import content_digest, fingerprint, read_source
 
 from ..bench.experiment import Knowledge
+
+Angle = Annotated[float, Between(0.0, 180.0, "°")]
+Count = Annotated[int, Between(0, 2**63 - 1)]
+Size = Annotated[float, Between(0.0, 1e15)]
 
 FILE = "entry.json"
 PACKAGED = "filters.packaged:"
@@ -35,13 +40,13 @@ class Card(Strict):
     """As `--estimator` was given it."""
     about: str
     """The first line of its class's docstring."""
-    rate_hz: float
+    rate_hz: SampleRate
     """Samples per second."""
     given: tuple[str, ...]
     """Beside the IMU: airframe, initial attitude, rotor_vel, mag; the tracks follow these."""
-    parameter_count: int
+    parameter_count: Count
     """Numbers that were learnt or tuned: a class says `parameter_count`, else those that it declares."""
-    operations: float | None
+    operations: Size | None
     """Of a sample, as a class says in `operations`; else they are counted, where its source is Python."""
     packages: dict[str, str]
     """Installed packages that its file imports, and their versions."""
@@ -66,14 +71,14 @@ class Card(Strict):
 class Cost(Strict):
     """What a sample of one vehicle costs."""
 
-    ns: float
+    ns: Size
     """Time in Python, median over samples [ns]."""
-    footprint: int
+    footprint: Count
     """State and parameters [bytes], as NeuroBench's footprint: numbers in arrays that the instance holds."""
-    operations: float | None
+    operations: Size | None
     """Of a network on the chip synaptic events (NeuroBench: effective accumulates); else operations on
     numbers; None where they are not known."""
-    nanojoules: float | None
+    nanojoules: Size | None
     """Modelled energy [nJ]."""
     model: str
     """How operations and energy were found."""
@@ -82,12 +87,12 @@ class Cost(Strict):
 class PartScore(Strict):
     """One part without a loop."""
 
-    values: dict[str, float]
+    values: dict[str, Angle]
     """RMS of the inclination error of each flight or trial [deg]."""
-    mean: float | None = None
-    low: float | None = None
+    mean: Angle | None = None
+    low: Angle | None = None
     """Ends of the bootstrap 95 % interval of the mean."""
-    high: float | None = None
+    high: Angle | None = None
     note: str = ""
     """Why there is no mean."""
     flaw: str = ""
@@ -98,27 +103,27 @@ class LoopFlight(Strict):
     """A flight in closed loop."""
 
     scenario: str
-    seed: int
+    seed: Count
     cause: str
     """Of the crash; empty without one."""
-    flown_s: float
-    error_deg: float | None
+    flown_s: Size
+    error_deg: Angle | None
 
 
 class LoopScore(Strict):
     """The closed loop."""
 
     flights: tuple[LoopFlight, ...]
-    planned: int
+    planned: Count
     """Flights that were to be flown; those that are missing count as lost."""
-    crashes: int
-    crash_low: float
+    crashes: Count
+    crash_low: Share
     """Ends of the 95 % Wilson interval of the share."""
-    crash_high: float
-    error_deg: float | None
+    crash_high: Share
+    error_deg: Angle | None
     """Mean over scenarios, of flights without a crash."""
-    low: float | None
-    high: float | None
+    low: Angle | None
+    high: Angle | None
 
 
 class Entry(Strict):

@@ -274,11 +274,14 @@ def test_the_command_runs_a_task_and_merges_folders(place, monkeypatch, capsys, 
 
     run_it = ("bench", "--task", place / "small.toml", "--out", place / "out", "--workers", 1)
     assert quadsim(*run_it, "--estimator", "mahony")[0] in (0, None)
-    assert "IMU:" in (
-        shown := quadsim("report", place / "out", place / "net", "--out", tmp_path / "b.html")[1]
-    )
+    (own,) = find_entries([place / "out" / "mahony"])
+    other = own.model_copy(update={"card": own.card.model_copy(update={"name": "Of a colleague"})})
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "entry.json").write_text(other.model_dump_json())
+    shown = quadsim("report", place / "out" / "mahony", tmp_path / "other", "--out", tmp_path / "b.html")[1]
+    assert "IMU:" in shown
     assert "leads" in shown
-    assert "att-snn" in (tmp_path / "b.html").read_text()
+    assert "Of a colleague" in (tmp_path / "b.html").read_text()
     for more, why in {
         ("--seeds", 3): "--seeds is not for --task",
         ("--set", "rate=100"): 'unknown key "rate"; valid: broad',
@@ -286,5 +289,6 @@ def test_the_command_runs_a_task_and_merges_folders(place, monkeypatch, capsys, 
     }.items():
         code, said = quadsim(*run_it, *more, *(("--estimator", "mahony") if more else ()))
         assert (code, why in said) == (2, True), said
-    code, said = quadsim("report", tmp_path, tmp_path)
+    (tmp_path / "empty").mkdir()
+    code, said = quadsim("report", tmp_path / "empty", tmp_path / "empty")
     assert (code, "holds no entry" in said) == (2, True), said
