@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from controllers import samples
 
-from estimators import create
+from estimators import create, run
 from estimators.circuit.circuit_estimator import SCALING, Silent, circuit_estimator
 from estimators.circuit.circuit_records import ANGLE_DIGITS, INNOVATION, ONE, RING
 from estimators.circuit.file import CircuitConfig, is_circuit, load_circuit, save_circuit
@@ -450,3 +450,16 @@ def test_floats_are_the_equations(faster):
     for n in range(2):
         np.testing.assert_allclose(found[:, :, n], plain_floats(p, gyro[n], accel[n]), atol=2e-4)
     assert (np.abs(trace.bias).max() > np.radians(11.1)) == (faster == 300)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name",
+    ["att-rnn", pytest.param("att-snn", marks=pytest.mark.xfail(strict=True, reason="3 to 7° at 20 to 30°"))],
+)
+def test_at_rest_at_any_tilt_the_estimate_settles_within_two_degrees(name):
+    tilts = np.radians([5, 10, 20, 25, 40, 60])
+    force = 9.81 * np.column_stack([0 * tilts, np.sin(tilts), np.cos(tilts)])
+    accel = np.repeat(force[:, None], 8000, axis=1)
+    roll = np.degrees(run(create(name, rate_hz=200.0), np.zeros_like(accel), accel)[:, -400:, 0].mean(1))
+    np.testing.assert_allclose(roll, np.degrees(tilts), atol=2)
