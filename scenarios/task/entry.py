@@ -1,6 +1,5 @@
 """An entry of a task: its card, what it got, and the file that says so."""
 
-from collections.abc import Mapping
 from importlib.metadata import packages_distributions, version
 from pathlib import Path
 from typing import Annotated, Any, get_args
@@ -9,6 +8,7 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from estimators.circuit.file import is_circuit, load_circuit
+from estimators.circuit.parameters import LEARNT
 from estimators.custom import GROUP, is_custom, own_sources
 from estimators.networks.weights_file import load_network, shipped_names
 from estimators.registry import NETWORKS, SHIPPED, is_weights, needs_vehicle, parameters
@@ -207,9 +207,10 @@ def _numbers(source: str) -> int:
     """Numbers that an estimator without a class of the user's has learnt, or that were tuned."""
     if not is_network(source):
         return len(parameters(source))
-    tensors: Mapping[str, Any]
-    tensors = load_circuit(source).parameters._asdict() if is_circuit(source) else load_network(source)[1]
-    return sum(int(np.size(each)) for each in tensors.values())
+    if is_circuit(source):
+        learnt = load_circuit(source).parameters._asdict()
+        return sum(int(np.size(learnt[name])) for name in LEARNT)
+    return sum(int(np.size(each)) for each in load_network(source)[1].values())
 
 
 def _packages(source: str) -> dict[str, str]:

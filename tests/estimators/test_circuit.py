@@ -453,10 +453,7 @@ def test_floats_are_the_equations(faster):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name",
-    ["att-rnn", pytest.param("att-snn", marks=pytest.mark.xfail(strict=True, reason="3 to 7° at 20 to 30°"))],
-)
+@pytest.mark.parametrize("name", ["att-rnn", "att-snn"])
 def test_at_rest_at_any_tilt_the_estimate_settles_within_two_degrees(name):
     tilts = np.radians([5, 10, 20, 25, 40, 60])
     force = 9.81 * np.column_stack([0 * tilts, np.sin(tilts), np.cos(tilts)])
