@@ -136,7 +136,7 @@ def _track(track: str, entries: Sequence[Entry], flights: pd.DataFrame) -> dict[
             shares = f"{100 * better.mean:.0f} % ({100 * low:.0f}–{100 * high:.0f})"
             cells["better than the leader"] = Cell(shares, better.mean)
         cells |= _part_cells(entry) | _cost_cells(entry)
-        why = f"not ranked: it {'; '.join(entry.reasons)}" if entry.reasons else ""
+        why = f"not ranked: it {entry.reasons[0]}" if entry.reasons else ""
         rows.append({"entry": entry, "cells": cells, "why": why})
     headings = list(dict.fromkeys(heading for row in rows for heading in row["cells"]))
     return {"name": track, "rows": rows, "headings": headings}
