@@ -148,7 +148,7 @@ class FlightSet(Strict):
 
 
 class CircuitTraining(Strict):
-    """How a circuit is trained; the recipe that ships is `assets/presets/att-snn.toml`."""
+    """How a circuit is trained, as in `assets/presets/att-snn.toml`."""
 
     vectors: Annotated[int, Between(4, 64)] = 6
     """Vectors that turn."""

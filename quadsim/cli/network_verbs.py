@@ -34,7 +34,7 @@ def train(
     preset: Annotated[
         str,
         typer.Option(
-            help="att-snn: the circuit that ships, for any IMU. tune: continues it on your logs. paper: the "
+            help="att-snn: a circuit like the one that ships, for any IMU. tune: continues it on your logs. paper: the "
             "paper's network of layers. control-attitude: a controller. Or a TOML file."
         ),
     ] = "att-snn",
@@ -59,8 +59,8 @@ def train(
 ) -> None:
     """Train a spiking network for the chip, or its twin in floats.
 
-    The preset att-snn trains the spiking circuit that ships, for any IMU, from the equation of gravity in a
-    turning frame; tune continues it on your own logs. Other presets train networks of layers: paper by the
+    The preset att-snn trains a spiking circuit like the one that ships, for any IMU, from the equation of
+    gravity in a turning frame; tune continues it on your own logs. Other presets train networks of layers: paper by the
     paper's recipe. control-attitude trains an attitude controller by imitation, on flights of its own.
 
     The run folder gets the weights, the losses and their plot. Ctrl-C keeps what there is, and the same
