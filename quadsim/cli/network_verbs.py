@@ -34,8 +34,8 @@ def train(
     preset: Annotated[
         str,
         typer.Option(
-            help="att-snn: a circuit like the one that ships, for any IMU. tune: continues it on your logs. paper: the "
-            "paper's network of layers. control-attitude: a controller. Or a TOML file."
+            help="att-snn: a circuit like the one that ships, for any IMU. tune: continues it on your logs. "
+            "paper: the paper's network of layers. control-attitude: a controller. Or a TOML file."
         ),
     ] = "att-snn",
     validation: Annotated[
@@ -60,8 +60,9 @@ def train(
     """Train a spiking network for the chip, or its twin in floats.
 
     The preset att-snn trains a spiking circuit like the one that ships, for any IMU, from the equation of
-    gravity in a turning frame; tune continues it on your own logs. Other presets train networks of layers: paper by the
-    paper's recipe. control-attitude trains an attitude controller by imitation, on flights of its own.
+    gravity in a turning frame; tune continues the shipped one on your own logs. Other presets train networks
+    of layers: paper by the paper's recipe. control-attitude trains an attitude controller by imitation, on
+    flights of its own.
 
     The run folder gets the weights, the losses and their plot. Ctrl-C keeps what there is, and the same
     command continues the run.
