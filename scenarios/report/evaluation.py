@@ -27,7 +27,7 @@ SLOW_FLIGHTS = 4
 METHOD = (
     "Errors are the mean absolute error of roll and pitch of each flight; median, mean and SD are over "
     "flights, the interval of the mean is a bootstrap's, 95 %. Silenced: the mean error of the same network "
-    "with output weights of zero. Behind the best: the paired difference of each flight from the best "
+    "with output weights of zero. Error minus the best: the paired difference of each flight from the best "
     "estimator's; tied where its interval reaches zero. 20° to 2°: after a start in an "
     "unknown tilt of 20°, when the median start's inclination error stays below 2°; a dash is never. "
     "Networks are never given the initial attitude: they have no row with a known start. A reference "
