@@ -74,7 +74,7 @@ def held(p: Parameters, flights: Flights) -> Parameters:
         np.ascontiguousarray(each.transpose(1, 2, 0), np.float32)
         for each in (flights.gyro / RATE_HZ, flights.accel / GRAVITY)
     )
-    run_floats(angle, force, stepped(p), trace, senses)
+    run_floats(angle, force, np.zeros(angle[:, 0].shape, np.bool_), stepped(p), trace, senses)
     opened = np.clip(trace.opened, 0, 1).mean((0, 2))
     return p._replace(gate=0 * p.gate, level=opened.astype(np.float64), onset=p.onset + p.level - opened)
 

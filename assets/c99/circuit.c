@@ -48,6 +48,7 @@ static const struct {
 static const int32_t THRESHOLD[RING] = $ring;
 static const int32_t START[VECTORS] = $start;
 static const int32_t ONSET[GATES] = $onset;
+static const int32_t RESUME[GATES] = $resume;
 
 static const int32_t FELT_KEEP = $felt_keep;
 static const int32_t DRIVE_KEEP = $drive_keep;
@@ -224,6 +225,10 @@ static void innovate(${n}_state *state, const int32_t force[3], int32_t spike[3]
 /* Vectors and the bias read which innovations passed in the step before, so the innovations go last. */
 void ${n}_step(${n}_state *state)
 {
+    /* The first good rate after a gap opens gates. */
+    if (state->ring && state->age == 0 && state->good == 1)
+        for (int q = 0; q < GATES; ++q)
+            state->gate[q] = clip(state->gate[q] + RESUME[q], STATE_MAX);
     for (int k = 0; k < STEPS_PER_SAMPLE; ++k) {
         int32_t angle[3], force[3], spike[3][VECTORS], heard[KINDS] = {0}, opened[GATES];
         const int32_t threshold = THRESHOLD[state->ring < RING ? state->ring : 0];

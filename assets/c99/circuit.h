@@ -33,7 +33,7 @@ typedef struct {
     int32_t bias[3], bias_soma[3], bias_spike[3], bias_due[3]; /* of the gyroscope */
     int32_t ring; /* steps, counted around the ring of thresholds from 1 */
     uint32_t skipped; /* samples with a reading that was not used */
-    int32_t age, good; /* samples since the last good rate, and good ones, each up to 20 */
+    int32_t age, good; /* samples since the last good rate, and good ones since the start or a gap, each up to 20 */
     int8_t passed[3][${N}_GATES]; /* spikes of the innovations */
 } ${n}_state;
 

@@ -233,6 +233,7 @@ void ${n}_encode(${n}_state *state, const double gyro[3], const double accel[3])
     } else if (state->age < HOLD) {
         ++state->age;
     } else {
+        state->good = 0;
         for (int k = 0; k < 3; ++k)
             state->input[k] = nearest(-OFFSET[k] * GAIN[k]);
     }

@@ -34,7 +34,7 @@ typedef struct {
     uint16_t encoding_fired[${N}_ENCODING]; /* and which, in ascending order */
     uint16_t hidden_fired[${N}_HIDDEN];
     uint32_t skipped; /* samples with a reading that was not used */
-    int32_t age, good; /* samples since the last good rate, and good ones, each up to 20 */
+    int32_t age, good; /* samples since the last good rate, and good ones since the start or a gap, each up to 20 */
 #if CONTROLS
     double thrust; /* collective thrust per mass that is passed through [m/s^2] */
 #endif

@@ -11,7 +11,7 @@ import numpy as np
 from quadsim.dataset.reading import open_dataset
 
 from ..circuit.circuit_estimator import circuit_estimator
-from ..circuit.circuit_records import ANGLE_DIGITS, EVENTS, Circuit
+from ..circuit.circuit_records import ANGLE_DIGITS, EVENTS, RINGS, Circuit
 from ..circuit.file import CircuitConfig
 from ..circuit.on_chip import populations
 from ..circuit.parameters import RATE_HZ, Parameters, quantised
@@ -59,7 +59,7 @@ def measured(config: CircuitConfig, p: Parameters, flights: Flights) -> Measured
     circuit = quantised(p, config.steps_per_sample)
     compartments = sum(each.compartments for each in populations(circuit))
     events = synaptic_events(circuit, dict(zip(EVENTS, counts / steps, strict=True)))
-    spikes = float(counts.sum()) / steps + 1  # and the ring's
+    spikes = float(counts.sum()) / steps + len(RINGS)
     active = PICOJOULES["active neuron update"] - PICOJOULES["inactive neuron update"]
     picojoules = events * PICOJOULES["synaptic event"] + compartments * PICOJOULES["inactive neuron update"]
     picojoules += spikes * (active + PICOJOULES["spike within a tile"])
@@ -70,7 +70,7 @@ def measured(config: CircuitConfig, p: Parameters, flights: Flights) -> Measured
 
 
 def synaptic_events(circuit: Circuit, spikes: dict[str, float]) -> float:
-    """Synapses that spikes pass, from spikes of each kind; the ring's own included."""
+    """Synapses that spikes pass, from spikes of each kind; those of the rings included."""
     vectors, gates, felt = len(circuit.start), len(circuit.gate), 18
     reached = {
         "angles": 4 * vectors + 2,
@@ -83,5 +83,5 @@ def synaptic_events(circuit: Circuit, spikes: dict[str, float]) -> float:
         "bias": 0,
         "learning": 1,
     }
-    ring = gates + felt + 1
-    return ring + sum(reached[kind] * count for kind, count in spikes.items())
+    rings = len(RINGS) * (gates + felt + 1)
+    return rings + sum(reached[kind] * count for kind, count in spikes.items())

@@ -47,9 +47,20 @@ BIAS_RATE = TURN_RATE * BIAS_UNITS / ANGLE_UNITS
 LEAD = 3
 """Half steps by which a vector's spikes run ahead of it in a turn. A turn reaches the vector a step and a
 half after the middle of the spikes that it multiplied; with the lead, its length stays as it is."""
-_GOLDEN = np.argsort(np.argsort(np.arange(31) * (5**0.5 - 1) / 2 % 1))
-RING = (ONE * (_GOLDEN + 0.5) / len(_GOLDEN)).astype(np.int32)
-"""Thresholds of gates and of what feels, step by step: 31 levels, spread evenly over any short time."""
+RINGS = 16, 15
+"""Neurons of two rings. In each ring one spikes a step, in turn; both add to the thresholds of gates and of
+what feels, the first in steps of 1/16, the second in fifteenths of that."""
+
+
+def _thresholds():
+    """Sums of both rings, step by step: any short time has high and low ones, 240 steps have each once."""
+    first, second = (np.argsort(np.argsort(np.arange(n) * (5**0.5 - 1) / 2 % 1)) for n in RINGS)
+    fine = np.rint((second + 0.5) * 128 / RINGS[1]) * (ONE >> 11)
+    t = np.arange(RINGS[0] * RINGS[1])
+    return (first[t % RINGS[0]] * (ONE >> 4) + fine[t % RINGS[1]]).astype(np.int32)
+
+
+RING = _thresholds()
 _HALVES = (3 ** np.arange(ANGLE_DIGITS) - 1) // 2
 DIGITS = ((np.arange(ANGLE_MAX + 1)[:, None] + _HALVES) // 3 ** np.arange(ANGLE_DIGITS) % 3 > 0).sum(1)
 """How many of the balanced ternary digits of a number are not 0."""
@@ -66,7 +77,9 @@ class Circuit(NamedTuple):
     take: Int32s  #: P, from vectors to innovations (3, V, Q)
     read: Int32s  #: R, of innovations by a quantum of force (3, Q)
     gate: Int32s  #: W, of gates by what is felt (Q, 5)
-    levels: Int32s  #: bias, start and decay of each gate, and the decay of its innovation (4, Q)
+    levels: (
+        Int32s  #: each gate's bias, start, decay, decay of its innovation, gain when readings resume (5, Q)
+    )
     sense: Int32s  #: decay of what is felt, weights of force, turn and first vector, bias of z (5,)
     learn: Int32s  #: vector, gate and κ of each product for the gyroscope's bias (pairs, 3)
     start: Int32s  #: z of each vector at the start (V,)
@@ -150,7 +163,7 @@ def circuit_of(row, vectors, gates):
     take, row = row[: q * vectors], row[q * vectors :]
     read, row = row[:q], row[q:]
     gate, row = row[: 5 * gates], row[5 * gates :]
-    levels, row = row[: 4 * gates], row[4 * gates :]
+    levels, row = row[: 5 * gates], row[5 * gates :]
     return Circuit(
         mix.reshape(3, vectors, vectors),
         pull.reshape(3, vectors),
@@ -158,7 +171,7 @@ def circuit_of(row, vectors, gates):
         take.reshape(3, vectors, gates),
         read.reshape(3, gates),
         gate.reshape(gates, 5),
-        levels.reshape(4, gates),
+        levels.reshape(5, gates),
         row[:5],
         row[5:-vectors].reshape(-1, 3),
         row[-vectors:],

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from quadsim.runs.compiled import njit
 
-from ..networks.encoder import ENCODED, INPUT_ONE, Scaling, encode_sample, encoder_fields
+from ..networks.encoder import ENCODED, INPUT_ONE, Scaling, encode_sample, encoder_fields, resumed
 from .circuit_records import BIAS_RATE
 from .parameters import FELT, FELT_RATE, FELT_S, OUTPUT, RATE_HZ, SMOOTH_S, Parameters
 
@@ -40,6 +40,7 @@ class Steps(NamedTuple):
     learn: Floats  #: (pairs,)
     gate: Floats  #: (Q, 5)
     level: Floats  #: (Q,)
+    resume: Floats  #: (Q,)
     share: Floats  #: of the way that a gate goes in a step (Q,)
     pairs: NDArray[np.int64]  #: (pairs, 2)
 
@@ -66,7 +67,7 @@ def stepped(p: Parameters) -> Steps:
     dt = 1 / RATE_HZ
     values = (
         p.mix[[0, 0, 1]] * dt, p.pull[[0, 0, 1]] * dt, p.give[:, [0, 0, 1]] * dt, p.take[:, [0, 0, 1]],
-        p.read[:, [0, 0, 1]], p.learn * dt, p.gate, p.level, dt / p.tau,
+        p.read[:, [0, 0, 1]], p.learn * dt, p.gate, p.level, p.resume, dt / p.tau,
     )  # fmt: skip
     return Steps(*(np.ascontiguousarray(each, F) for each in values), pairs=p.pairs)
 
@@ -91,18 +92,19 @@ def new_trace(p: Parameters, steps: int, n: int) -> tuple[Signals, Senses]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def run_floats(angle, force, w, trace, senses):
+def run_floats(angle, force, again, w, trace, senses):
     """Run n copies over T samples.
 
     Args:
         angle: Body rate times the time of a sample (T, 3, n) [rad].
         force: Specific force (T, 3, n) [9.81 m/s²].
+        again: Whether readings resume after a gap in a sample (T, n).
         w: `Steps`.
         trace: `Signals`; x[0], bias[0] and e[0] are read, the rest is written.
         senses: `Senses`, changed.
     """
     for t in range(angle.shape[0]):
-        _feel(t, angle[t], force[t], w, trace, senses)
+        _feel(t, angle[t], force[t], again[t], w, trace, senses)
         _turn_and_mix(unbiased(angle[t], trace.bias[t]), force[t], w, trace.x[t], trace.x[t + 1])
         _innovate(t, force[t], w, trace)
         _learn(t, w, trace)
@@ -130,7 +132,7 @@ def _passed(opened, e):
 
 
 @njit
-def _feel(t, angle, force, w, trace, senses):
+def _feel(t, angle, force, again, w, trace, senses):
     """What is felt in this sample, and how far the gates open."""
     smooth, u, felt = senses.smooth, senses.u, trace.felt[t]
     for i in range(3):
@@ -149,6 +151,8 @@ def _feel(t, angle, force, w, trace, senses):
             heard = F(0)
             for k in range(FELT):
                 heard += w.gate[q, k] * felt[k, c]
+            if again[c]:
+                u[q, c] += w.resume[q]
             u[q, c] += w.share[q] * (heard - u[q, c])
             trace.opened[t, q, c] = u[q, c] + w.level[q]
 
@@ -239,18 +243,21 @@ def _run_states(gyro, accel, set_points, scaling, w, start, onset, states, out):
     scales = Scaling(scaling[:6], scaling[6:])
     ends = np.cumsum(np.array([ENCODED, 3 * vectors, 3, 3 * gates, 9, gates]))
     _, xs, biases, es, smooth, us, begun = np.split(states, ends, axis=1)
+    first_of_all = begun[:, 0] == 0
     for c in range(n):
-        if begun[c, 0] == 0:
+        if first_of_all[c]:
             begun[c, 0] = 1
             xs[c, 2::3], us[c] = start, onset
     for first in range(0, samples, CHUNK):
         steps = min(CHUNK, samples - first)
         angle, force = np.empty((steps, 3, n), F), np.empty((steps, 3, n), F)
+        again = np.empty((steps, n), np.bool_)
         trace = _room(steps, vectors, gates, n)
         for c in range(n):
             for t in range(steps):
                 here = slice(3 * (first + t), 3 * (first + t) + 3)
                 encode_sample(gyro[c, here], accel[c, here], scales, states[c])
+                again[t, c] = resumed(states[c]) and not (first_of_all[c] and first + t == 0)
                 for i in range(3):
                     angle[t, i, c] = states[c, i] * F(2.0**-17)
                     force[t, i, c] = states[c, 3 + i] * F(1 / INPUT_ONE)
@@ -262,7 +269,7 @@ def _run_states(gyro, accel, set_points, scaling, w, start, onset, states, out):
         )
         for state, signal in kept:
             signal[0] = state.T
-        run_floats(angle, force, w, trace, senses)
+        run_floats(angle, force, again, w, trace, senses)
         for state, signal in kept:
             state[:] = signal[steps].T
         smooth[:], us[:] = senses.smooth.T, senses.u.T

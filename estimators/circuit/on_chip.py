@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..loihi.chip import CORES, LIMITS
-from .circuit_records import ANGLE_DIGITS, FORCE_DIGITS, RING, Circuit
+from .circuit_records import ANGLE_DIGITS, FORCE_DIGITS, RINGS, Circuit
 
 SIGNS, AXES = 2, 3
 
@@ -39,15 +39,16 @@ def populations(circuit: Circuit) -> list[Population]:
     felt = SIGNS * 3 * AXES
     felt_synapses = SIGNS * AXES * (2 * forces + angles + SIGNS)
     learning = pairs * AXES * 2 * SIGNS * SIGNS
+    ring = sum(RINGS)
     return [
         Population(
             "vectors", vectors * AXES * SIGNS, vectors * AXES * (1 + SIGNS), mixed + pulled + 2 * coincidences
         ),
         Population("coincidences", coincidences, coincidences, 2 * coincidences),
         Population("innovations", gates * AXES * SIGNS, gates * AXES * (2 + SIGNS), asked),
-        Population("gates", gates, gates, gates * len(RING) + 4 * int(np.count_nonzero(circuit.gate))),
-        Population("what is felt", felt, felt, felt_synapses + felt * len(RING)),
-        Population("ring", len(RING), len(RING), len(RING)),
+        Population("gates", gates, gates, gates * ring + 4 * int(np.count_nonzero(circuit.gate))),
+        Population("what is felt", felt, felt, felt_synapses + felt * ring),
+        Population("rings", ring, ring, ring),
         Population("bias", AXES * SIGNS + learning, AXES * (1 + SIGNS) + learning, 3 * learning),
     ]
 

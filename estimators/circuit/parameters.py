@@ -56,13 +56,14 @@ class Parameters(NamedTuple):
     gate: Array  #: W (Q, 5)
     level: Array  #: c (Q,)
     onset: Array  #: u at the start (Q,)
+    resume: Array  #: what u gets when readings resume after a gap (Q,)
     tau: Array  #: (Q,) [s]
     pairs: NDArray[np.int64]  #: vector and innovation of each product for the bias (pairs, 2)
     start: Array  #: z of each vector at the start (V,)
     scale: Array  #: length of each vector for which its neurons spike in every step (V,)
 
 
-LEARNT = ("mix", "pull", "give", "take", "read", "learn", "gate", "level", "onset")
+LEARNT = ("mix", "pull", "give", "take", "read", "learn", "gate", "level", "onset", "resume")
 """What training changes."""
 
 
@@ -71,7 +72,7 @@ def expected_shapes(vectors: int, gates: int, pairs: int) -> dict[str, tuple[int
     v, q = vectors, gates
     return {
         "mix": (2, v, v), "pull": (2, v), "give": (q, 2, v), "take": (q, 2, v), "read": (q, 2),
-        "learn": (pairs,), "gate": (q, FELT), "level": (q,), "onset": (q,), "tau": (q,),
+        "learn": (pairs,), "gate": (q, FELT), "level": (q,), "onset": (q,), "resume": (q,), "tau": (q,),
         "pairs": (pairs, 2), "start": (v,), "scale": (v,),
     }  # fmt: skip
 
@@ -115,7 +116,7 @@ def untrained(vectors: int = 4, gates: int = 8, seed: int = 0, spread: float = 0
     p.take[[0, 3], :, 0] = p.take[1, :, 3] = 1.0
     p.give[2, :, 0], p.take[2, :, 0], p.read[2] = 8.0, -1.0, 1.0
     p.gate[0, 0], p.level[0], p.gate[1, 0], p.level[1] = 1.2, -0.2, -1.2, 1.2
-    p.onset[[2, 3]] = 1.0
+    p.onset[[2, 3]] = p.resume[[2, 3]] = 1.0
     p.gate[4, 2], p.gate[5, 1] = 0.7, 1.0
     # the bias is learnt from the pull, as far as it is small, less where the force surprises
     p.give[6] = p.take[6] = p.read[6] = 0.0
@@ -151,7 +152,13 @@ def quantised(p: Parameters, steps: int) -> Circuit:
         read=_weights(_axes(p.read.T) * FORCE * smooth / 4096 * INNOVATION),
         gate=_weights(p.gate * decays[:, None] / 4096 * ONE),
         levels=np.stack(
-            [_whole(p.level * ONE), _whole(p.onset * ONE), decays, np.full_like(decays, smooth)]
+            [
+                _whole(p.level * ONE),
+                _whole(p.onset * ONE),
+                decays,
+                np.full_like(decays, smooth),
+                _weights(p.resume * ONE),
+            ]
         ).astype(np.int32),
         sense=np.array([felt, *_weights(sense)], np.int32),
         learn=np.column_stack([p.pairs, kappa]).astype(np.int32),

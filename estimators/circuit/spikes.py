@@ -14,7 +14,8 @@ mirrored synapses. Index t is the value after step t. Every connection delivers 
               z_q[t] = z - 2^22 d_q[t]
               f_q[t] = D(f_q[t-1], smooth) + P_q s[t] + R_q n_a[t]
     gates     γ_q[t] = 1 if g_q[t-1] + c_q > ring[t], else 0
-              g_q[t] = D(g_q[t-1], decay_q) + Σ_k W_qk ρ_k[t]
+              g_q[t] = D(g_q[t-1], decay_q) + Σ_k W_qk ρ_k[t], and before the first step after a gap
+              in the readings g_q gets the weight of a spike that the encoder sends then
     felt      ρ_k[t] = number of currents h of kind k with 4 |h[t-1]| > ring[t]
               h[t] = D(h[t-1], felt) + Σ of what is felt
     bias      b[t] = b[t-1] + Σ_p κ_p (s_p × d_p)[t-1], whose spikes the gyroscope's encoder takes away
@@ -25,7 +26,7 @@ needs one of the gyroscope and one of the vector.
 
 Three things are more than a leaky integrate-and-fire neuron has. Vectors, innovations and the bias are reset
 by subtraction. A gate joins f_q to z_q: the compartment passes it on in the steps in which the gate spikes.
-And `ring` is a threshold that 31 neurons, which spike in turn, add to gates and to what feels.
+And `ring` is a threshold that two rings of neurons, which spike in turn, add to gates and to what feels.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ import numpy as np
 from quadsim.runs.compiled import njit
 
 from ..loihi.neurons import STATE_MAX, decay
-from ..networks.encoder import Scaling, encode_sample, encoder_fields
+from ..networks.encoder import Scaling, encode_sample, encoder_fields, resumed
 from .circuit_records import (
     ANGLE_MAX,
     ANGLE_UNITS,
@@ -101,6 +102,9 @@ def run_circuit(gyro, accel, set_points, settings, numbers, states, out):
                 state.gate[q] = circuit.levels[1, q]
         for t in range(gyro.shape[1] // 3):
             encode_sample(gyro[copy, 3 * t : 3 * t + 3], accel[copy, 3 * t : 3 * t + 3], scaling, row)
+            if state.ring[0] and resumed(row):
+                for q in range(gates):
+                    state.gate[q] = _clipped(state.gate[q] + circuit.levels[4, q])
             for _ in range(steps):
                 step(row, state, circuit, steps, spikes)
             for i in range(3):

@@ -105,13 +105,14 @@ def _constants() -> dict[str, int | str]:
 
 def _integers(circuit: records.Circuit) -> dict[str, int | str]:
     """Weights, decays and initial values as the C code reads them."""
-    level, onset, decays, smooth = circuit.levels.astype(np.int64)
+    level, onset, decays, smooth, resume = circuit.levels.astype(np.int64)
     felt, force, turn, vector, still = circuit.sense.tolist()
     found: dict[str, int | str] = {
         "pull": braces(circuit.pull[DIRECTIONS]),
         "read": braces(circuit.read[DIRECTIONS]),
         "start": braces(circuit.start),
         "onset": braces(onset),
+        "resume": braces(resume),
         "felt_keep": _keep(felt),
         "drive_keep": _keep(int(smooth[0])),
         "felt_force": force,
@@ -150,7 +151,7 @@ def _check(circuit: records.Circuit) -> None:
         ValueError: One is.
     """
     c = records.Circuit(*(np.abs(part.astype(np.int64)) for part in circuit))
-    decays = np.concatenate([circuit.levels[2:].ravel(), circuit.sense[:1]])
+    decays = np.concatenate([circuit.levels[2:4].ravel(), circuit.sense[:1]])
     if np.any(decays < 1) or np.any(decays >= DECAY_ONE):
         raise ValueError("C99 needs time constants that are longer than a step")
     if max(part.max(initial=0) for part in c) > STATE_MAX:

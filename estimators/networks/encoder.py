@@ -35,7 +35,7 @@ def encoder_fields(number: DTypeLike) -> list[tuple[Any, ...]]:
     """Fields of an encoder's state.
 
     They are the last integer inputs, how many samples lacked something, how many there have been since the
-    last good rate, and how many good rates there have been, these two up to `HOLD`.
+    last good rate, and how many good rates there have been since the start or the last gap, up to `HOLD`.
     """
     return [("inputs", number, READINGS), ("missing", number), ("age", number), ("good", number)]
 
@@ -98,6 +98,7 @@ def encode_sample(gyro, accel, scaling, state):
     elif state[AGE] < HOLD:
         state[AGE] += 1
     else:
+        state[GOOD] = 0
         for k in range(3):
             state[k] = _integer(-scaling.offset[k], scaling.gain[k])
     if force_found:
@@ -105,6 +106,12 @@ def encode_sample(gyro, accel, scaling, state):
             state[3 + k] = _integer(accel[k] - scaling.offset[3 + k], scaling.gain[3 + k])
     if not (rate_found and force_found):
         state[MISSING] += 1
+
+
+@njit(inline="always")
+def resumed(state):
+    """Whether the last sample had the first good rate after `HOLD` missing ones, or the first of all."""
+    return state[AGE] == 0 and state[GOOD] == 1
 
 
 @njit(cache=True)

@@ -121,7 +121,7 @@ def test_the_circuit_finds_its_attitude_within_ten_seconds_after_a_gap(clean, na
     assert away_after_faults(clean, name)[GAP] < 2
 
 
-@pytest.mark.parametrize("name", CLASSICAL)
+@pytest.mark.parametrize("name", [*CLASSICAL, *CIRCUIT])
 def test_gaps_and_bad_samples_are_the_same_in_streaming_and_in_sequence(flights, name):
     gyro, accel, _ = (each.copy() for each in arrays(flights, 2, 300))
     gyro[0, 40:120], accel[0, 40:120], gyro[1, 90], accel[1, 200] = np.nan, np.nan, 1e30, 1000.0

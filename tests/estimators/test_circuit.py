@@ -179,7 +179,7 @@ class PlainCircuit:
         return n
 
     def step(self, inputs):
-        c, ring = self.c, int(RING[self.t % 31])
+        c, ring = self.c, int(RING[self.t % len(RING)])
         self.t += 1
         n_w, n_a = self.encoders(inputs)
         soma = np.vectorize(clip)(self.y + self.x)
@@ -241,16 +241,20 @@ class PlainCircuit:
 
 @pytest.mark.parametrize("steps", [1, 2, 4])
 def test_the_kernel_is_the_circuit_neuron_by_neuron(steps):
-    p = untrained(5, 11, seed=1, spread=3.0)._replace(scale=np.array([1.2, 1.1, 0.5, 2.0, 0.9]))
+    p = untrained(5, 11, seed=1, spread=3.0)
+    p = p._replace(scale=np.array([1.2, 1.1, 0.5, 2.0, 0.9]), resume=np.linspace(-0.5, 1.5, 11))
     circuit = quantised(p, steps)
     est = NetworkEstimator(SpikingCircuit(SCALING, circuit, 1, steps, p.scale[1]), RATE_HZ)
     plain = PlainCircuit(circuit, steps)
     gyro, accel = samples(1, 150, 5, 3.0, 4.0)
     gyro[0, 60:80], accel[0, 100:110] = 30.0, 150.0  # more than the encoders can say at once
+    gyro[0, 115:140] = np.nan
     spikes = 0
     for t in range(150):
         est.update(gyro[:, t], accel[:, t])
         state = est.states[0]
+        if t == 140:
+            plain.g += circuit.levels[4]
         for _ in range(steps):
             plain.step(state["inputs"].astype(int))
         for name, value in (
@@ -405,7 +409,7 @@ def test_other_files_are_refused_in_one_line(tmp_path):
 # --- in floats ------------------------------------------------------------------------------------------
 
 
-def plain_floats(p: Parameters, gyro, accel):
+def plain_floats(p: Parameters, gyro, accel, again):
     """The equations of `estimators.circuit.parameters`, an Euler step a sample, in float64."""
     dt, v = 1 / RATE_HZ, len(p.start)
     axes = [0, 0, 1]
@@ -413,11 +417,12 @@ def plain_floats(p: Parameters, gyro, accel):
     x[:, 2] = p.start
     e, most = np.zeros((len(p.level), 3)), np.radians(5.595)
     outputs = []
-    for rate, force in zip(gyro, accel / GRAVITY, strict=True):
+    for rate, force, resumes in zip(gyro, accel / GRAVITY, again, strict=True):
         target = np.array([force - [0, 0, 1], rate / 4, force - x[0]])
         smooth += dt / 0.05 * (target - smooth)
         felt = np.minimum(np.abs(smooth), 1)
         z = np.array([felt[0, :2].sum(), felt[0, 2], felt[1, :2].sum(), felt[1, 2], felt[2].sum()])
+        u += resumes * p.resume
         u += dt / p.tau * (p.gate @ z - u)
         r = np.clip(u + p.level, 0, 1)
         raw = np.stack([p.take[:, k] @ x[:, i] + p.read[:, k] * force[i] for i, k in enumerate(axes)], 1)
@@ -438,17 +443,18 @@ def plain_floats(p: Parameters, gyro, accel):
 @pytest.mark.parametrize("faster", [1, 300])
 def test_floats_are_the_equations(faster):
     p = untrained(5, 11, seed=2, spread=3.0)
-    p = p._replace(learn=faster * p.learn)
+    p = p._replace(learn=faster * p.learn, resume=np.linspace(-0.5, 1.5, 11))
     gyro, accel = samples(2, 300, 3, 3.0, 4.0)
+    again = np.arange(300)[:, None] == [100, 200]
     trace, senses = new_trace(p, 300, 2)
     angle, force = (
         np.ascontiguousarray(each.transpose(1, 2, 0), np.float32)
         for each in (gyro / RATE_HZ, accel / GRAVITY)
     )
-    run_floats(angle, force, stepped(p), trace, senses)
+    run_floats(angle, force, again, stepped(p), trace, senses)
     found = np.concatenate([trace.x[1:, 1], trace.bias[1:]], 1)
     for n in range(2):
-        np.testing.assert_allclose(found[:, :, n], plain_floats(p, gyro[n], accel[n]), atol=2e-4)
+        np.testing.assert_allclose(found[:, :, n], plain_floats(p, gyro[n], accel[n], again[:, n]), atol=2e-4)
     assert (np.abs(trace.bias).max() > np.radians(11.1)) == (faster == 300)
 
 

@@ -21,7 +21,7 @@ def readings(seed):
     accel = [0, 0, 9.81] + rng.uniform(-150, 150, (SAMPLES, 3)) * size[:, 1:]
     gyro[300:600], accel[300:600] = (0.05, -0.02, 0.01), (0.4, -0.3, 9.8)
     gyro[700:900], accel[700:900] = 40.0, -150.0
-    gyro[100:110, 1], accel[200, 0], accel[300:320], gyro[400], accel[500] = np.nan, np.inf, 0.0, 1e30, -1e30
+    gyro[100:130, 1], accel[200, 0], accel[300:320], gyro[400], accel[500] = np.nan, np.inf, 0.0, 1e30, -1e30
     gyro[650], accel[650] = 5e-324, (0.0, -0.0, 1e-300)
     return np.concatenate([gyro, accel], 1)
 
@@ -30,7 +30,11 @@ def circuit(seed=0):
     """Parameters whose gates all open at times and whose bias learns fast."""
     p = untrained(VECTORS, GATES, seed, spread=1.0)
     return p._replace(
-        gate=p.gate + 0.2, learn=np.array([1.0, -0.7]), pairs=np.array([[1, 6], [2, 7]]), scale=p.scale * 1.1
+        gate=p.gate + 0.2,
+        resume=np.linspace(-0.5, 1.5, GATES),
+        learn=np.array([1.0, -0.7]),
+        pairs=np.array([[1, 6], [2, 7]]),
+        scale=p.scale * 1.1,
     )
 
 

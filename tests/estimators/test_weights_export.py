@@ -31,7 +31,7 @@ def readings(steps, seed=0):
     rng = np.random.default_rng(seed)
     gyro = rng.normal(0, 1.5, (steps, 3)) + np.repeat(rng.normal(0, 2, (steps // 50 + 1, 3)), 50, 0)[:steps]
     accel = rng.normal([0, 0, 9.81], 3.0, (steps, 3))
-    gyro[100:110, 1], accel[200, 0], accel[300:320], gyro[400], accel[500] = np.nan, np.inf, 0.0, 1e9, -1e9
+    gyro[100:130, 1], accel[200, 0], accel[300:320], gyro[400], accel[500] = np.nan, np.inf, 0.0, 1e9, -1e9
     gyro[1500:1700], accel[1500:1700] = (0.05, -0.02, 0.01), (0.4, -0.3, 9.8)
     return gyro, accel
 

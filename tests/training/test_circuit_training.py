@@ -8,7 +8,7 @@ from estimators.circuit.parameters import LEARNT, untrained
 from quadsim.dataset import generate
 from quadsim.flight.recipe import load_recipe
 from training.circuit.gradient import loss_and_gradient
-from training.circuit.streams import StreamBatch, bias_of, draw_streams, held, sway
+from training.circuit.streams import StreamBatch, bias_of, draw_streams, held, interrupt, sway
 from training.config import CircuitTraining, make_config
 from training.data import load_training_flights
 from training.epochs import INTERRUPTED, train
@@ -20,8 +20,8 @@ def batch(seed=0, steps=200, n=6):
     up = rng.normal([[0], [0], [2]], 0.3, (steps, 3, n))
     up /= np.linalg.norm(up, axis=1, keepdims=True)
     bias, known = rng.normal(0, 0.02, (3, n)), np.arange(n) < n // 2
-    signals = (each.astype(np.float32) for each in (angle, force, up, bias))
-    return StreamBatch(*signals, known), np.ones(n, np.float32)
+    angle, force, up, bias = (each.astype(np.float32) for each in (angle, force, up, bias))
+    return StreamBatch(angle, force, rng.random((steps, n)) < 0.02, up, bias, known), np.ones(n, np.float32)
 
 
 @pytest.mark.parametrize("name", LEARNT)
@@ -29,7 +29,8 @@ def test_the_gradient_is_the_slope_of_the_loss_along_any_direction(name):
     rng = np.random.default_rng(1)
     p = untrained(5, 10, seed=1, spread=2.0)
     # gates that depend on nothing and are between shut and open, where the gradient is exact
-    p = p._replace(gate=0 * p.gate, level=rng.uniform(0.3, 0.7, 10), onset=0 * p.onset)
+    p = p._replace(gate=0 * p.gate, level=rng.uniform(0.3, 0.7, 10))
+    p = p._replace(onset=0 * p.onset, resume=0 * p.resume)
     _, slope, _ = loss_and_gradient(p, *batch())
     value = getattr(p, name)
     direction = rng.standard_normal(value.shape)
@@ -104,13 +105,23 @@ def test_streams_are_readings_and_their_up(data):
     assert [part.vehicles for part in parts] == [("hummingbird",), ()]
     recipe = CircuitTraining(streams=70, hand_share=0.5, known_share=0.5)
     streams = draw_streams(parts, recipe, 400, np.random.default_rng(0))
-    for each in streams[:3]:
+    for each in (streams.angle, streams.force, streams.up):
         assert each.shape == (70, 400, 3)
         assert np.isfinite(each).all()
     assert 20 < streams.known.sum() < 50
     np.testing.assert_allclose(np.linalg.norm(streams.up, axis=2), 1, atol=1e-5)
     again = draw_streams(parts, recipe, 400, np.random.default_rng(0))
     np.testing.assert_array_equal(streams.force, again.force)
+
+
+def test_after_a_gap_longer_than_the_host_bridges_readings_resume_and_rates_were_zero():
+    readings = np.full((2, 40, 400, 3), 5.0, np.float32)
+    again = interrupt(readings, 1.0, 200.0, np.random.default_rng(3))
+    ends = np.argwhere(again)
+    assert 10 < len(ends) <= 40
+    for row, end in ends:
+        assert not readings[0, row, end - 1].any()
+        assert (readings[1] == 5.0).all()
 
 
 def test_a_hand_sways_within_bounds():

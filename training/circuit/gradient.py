@@ -72,18 +72,18 @@ def loss_and_gradient(
         The loss: mean of √(|error|² + ROUNDING²) - ROUNDING of the normalised estimate, and the cost of its
         length; its gradient, where `LEARNT` is not 0; and the trace.
     """
-    w, (trace, senses), (angle, force, up, _, known) = stepped(p), begin(p, batch), batch
-    run_floats(angle, force, w, trace, senses)
+    w, (trace, senses), (angle, force, again, up, _, known) = stepped(p), begin(p, batch), batch
+    run_floats(angle, force, again, w, trace, senses)
     loss, outer = _loss(trace.x[1:, OUTPUT], up, weights / (weights.sum() * len(angle)))
     learnt = w.mix, w.pull, w.give, w.take, w.read, w.learn, trace.opened
     slopes = Slopes(*map(np.zeros_like, learnt))
     _backward(angle, force, w, trace, outer, slopes)
-    gate, level, onset = (np.zeros_like(each, F) for each in (w.gate, w.level, w.level))
-    _gates(slopes.opened, trace, w.share, known, gate, level, onset)
+    gate, level, onset, resume = (np.zeros_like(each, F) for each in (w.gate, w.level, w.level, w.level))
+    _gates(slopes.opened, trace, w.share, again, known, gate, level, onset, resume)
     dt = 1 / RATE_HZ
     body = {"mix": (0, dt), "pull": (0, dt), "give": (1, dt), "take": (1, 1.0), "read": (1, 1.0)}
     found = {name: _planes(getattr(slopes, name), axis) * unit for name, (axis, unit) in body.items()}
-    found |= {"learn": slopes.learn * dt, "gate": gate, "level": level, "onset": onset}
+    found |= {"learn": slopes.learn * dt, "gate": gate, "level": level, "onset": onset, "resume": resume}
     rest = {name: np.zeros_like(value) for name, value in p._asdict().items() if name not in LEARNT}
     return loss, p._replace(**rest, **{name: each.astype(np.float64) for name, each in found.items()}), trace
 
@@ -219,8 +219,8 @@ def _passed_back(t, force, x, x_bar, e, opened, d, d_bar, e_bar, earlier, w, slo
 
 
 @njit(cache=True, error_model="numpy", fastmath=True)
-def _gates(slope, trace, share, known, gate, level, onset):
-    """From the gradient by the gates' openings to that by their weights, levels and onsets."""
+def _gates(slope, trace, share, again, known, gate, level, onset, resume):
+    """From the gradient by the gates' openings to that by their weights, levels, onsets and resumptions."""
     steps, gates, n = slope.shape
     u_bar = np.zeros((gates, n), F)
     for t in range(steps - 1, -1, -1):
@@ -236,6 +236,8 @@ def _gates(slope, trace, share, known, gate, level, onset):
                 for k in range(FELT):
                     gate[q, k] += u_bar[q, c] * share[q] * trace.felt[t, k, c]
                 u_bar[q, c] *= F(1) - share[q]
+                if again[t, c]:
+                    resume[q] += u_bar[q, c]
     for q in range(gates):
         for c in range(n):
             if not known[c]:

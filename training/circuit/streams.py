@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from estimators.circuit.parameters import GRAVITY
+from estimators.networks.encoder import HOLD
 from quadsim.rotation import multiply_core, normalize_core, quat_rotate_inverse
 from quadsim.runs.compiled import njit
 
@@ -36,6 +37,7 @@ class StreamBatch(NamedTuple):
 
     angle: Floats  #: (T, 3, n)
     force: Floats  #: (T, 3, n)
+    again: NDArray[np.bool_]  #: (T, n)
     up: Floats  #: (T, 3, n)
     bias: Floats  #: (3, n)
     known: NDArray[np.bool_]  #: (n,)
@@ -46,14 +48,18 @@ class Streams(NamedTuple):
 
     angle: Floats  #: body rate times the time of a sample (streams, T, 3) [rad]
     force: Floats  #: specific force (streams, T, 3) [9.81 m/s²]
+    again: NDArray[np.bool_]  #: whether readings resume after a gap (streams, T)
     up: Floats  #: the world's up in body axes (streams, T, 3)
     bias: Floats  #: of the gyroscope, as far as `up` tells it (streams, 3) [rad/s]
     known: NDArray[np.bool_]  #: whether a stream begins with its attitude and bias known (streams,)
 
     def batch(self, rows: NDArray[np.int64]) -> StreamBatch:
         """Some of them."""
-        angle, force, up = (np.ascontiguousarray(each[rows].transpose(1, 2, 0)) for each in self[:3])
-        return StreamBatch(angle, force, up, np.ascontiguousarray(self.bias[rows].T), self.known[rows])
+        angle, force, up = (
+            np.ascontiguousarray(each[rows].transpose(1, 2, 0)) for each in (self.angle, self.force, self.up)
+        )
+        again = np.ascontiguousarray(self.again[rows].T)
+        return StreamBatch(angle, force, again, up, np.ascontiguousarray(self.bias[rows].T), self.known[rows])
 
 
 def draw_streams(
@@ -68,8 +74,9 @@ def draw_streams(
     hand_share = recipe.hand_share if flights and hands else float(not flights)
     count, blocks = recipe.streams, -(-recipe.streams // BLOCK)
     kinds = rng.random(blocks) < hand_share
-    rooms = [np.empty((count, *shape), np.float32) for shape in ((steps, 3), (steps, 3), (steps, 3), (3,))]
-    done = Streams(rooms[0], rooms[1], rooms[2], rooms[3], rng.random(count) < recipe.known_share)
+    angle, force, up = (np.empty((count, steps, 3), np.float32) for _ in range(3))
+    again, bias = np.zeros((count, steps), np.bool_), np.empty((count, 3), np.float32)
+    done = Streams(angle, force, again, up, bias, rng.random(count) < recipe.known_share)
     for k, by_hand in enumerate(kinds):
         part = slice(k * BLOCK, min((k + 1) * BLOCK, count))
         sets, swaying = (hands, recipe.sway_share) if by_hand else (flights, 0.0)
@@ -77,7 +84,7 @@ def draw_streams(
         rate, force, up = turned_and_mirrored(*_block(sets, n, steps, swaying, rng), rng)
         imus = [draw_imu(recipe.imu, rng.random() < recipe.calibrated_share, rng) for _ in range(n)]
         readings = measured(imus, rate, force, rate_hz, rng)
-        interrupt(readings, recipe.interrupted_share, rate_hz, rng)
+        done.again[part] = interrupt(readings, recipe.interrupted_share, rate_hz, rng)
         done.angle[part] = readings[0] / rate_hz
         done.force[part] = readings[1] / GRAVITY
         done.up[part] = up
@@ -118,17 +125,26 @@ def bias_of(gyro: Floats, up: Floats, rate_hz: float) -> Floats:
 
 def interrupt(
     readings: tuple[Floats, Floats], share: float, rate_hz: float, rng: np.random.Generator
-) -> None:
-    """Interrupt a share of the streams in place: no samples for a while, then false rates about one axis."""
+) -> NDArray[np.bool_]:
+    """Interrupt a share of the streams in place: no samples for a while, and false rates about one axis.
+
+    Returns:
+        Whether readings resume in a sample after more than `HOLD` without, (n, T).
+    """
     n, steps, _ = readings[0].shape
+    again = np.zeros((n, steps), np.bool_)
     for row in np.flatnonzero(rng.random(n) < share):
         first, length = rng.integers(1, steps), int(rng.uniform(0, GAP_S) * rate_hz)
         for each in readings:
             each[row, first : first + length] = each[row, first - 1]
+        if length > HOLD:
+            readings[0][row, first + HOLD : first + length] = 0
+            again[row, first + length : first + length + 1] = True
         first, axis = rng.integers(steps), rng.integers(3)
         readings[0][row, first : first + rng.integers(1, FALSE_SAMPLES + 1), axis] = rng.uniform(
             -FALSEST, FALSEST
         )
+    return again
 
 
 def held(readings: Floats) -> Floats:

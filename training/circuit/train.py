@@ -22,7 +22,7 @@ from .gradient import begin, loss_and_gradient
 from .streams import Streams, draw_streams
 
 Array = NDArray[np.float64]
-STEP = {"take": 0.5, "read": 0.5, "learn": 0.1, "gate": 0.5, "level": 0.5, "onset": 0.5}
+STEP = {"take": 0.5, "read": 0.5, "learn": 0.1, "gate": 0.5, "level": 0.5, "onset": 0.5, "resume": 0.5}
 """Factors of the learning rate; others 1."""
 WARM_UP, BETA1, BETA2, SLOW = 20, 0.9, 0.99, 0.98
 """Updates over which the rate rises; decays of Adam's moments, and of the averaged weights."""
@@ -174,7 +174,7 @@ def stream_weights(streams: Streams) -> NDArray[np.float32]:
     for first in range(0, len(streams.up), 64):
         batch = streams.batch(np.arange(first, min(first + 64, len(streams.up))))
         trace, senses = begin(p, batch)
-        run_floats(batch.angle, batch.force, stepped(p), trace, senses)
+        run_floats(batch.angle, batch.force, batch.again, stepped(p), trace, senses)
         estimate = trace.x[1:, OUTPUT]
         cosine = (estimate * batch.up).sum(1) / np.linalg.norm(estimate, axis=1)
         errors.append(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean(0))
@@ -186,7 +186,7 @@ def scaled(p: Parameters, streams: Streams) -> Parameters:
     """The circuit with scales of its vectors from how long they are on streams."""
     batch = streams.batch(np.arange(min(128, len(streams.up))))
     trace, senses = begin(p, batch)
-    run_floats(batch.angle, batch.force, stepped(p), trace, senses)
+    run_floats(batch.angle, batch.force, batch.again, stepped(p), trace, senses)
     size = np.abs(trace.x[1:]).transpose(1, 0, 2, 3).reshape(len(p.start), -1)
     return p._replace(scale=np.quantile(size, RANGE_QUANTILE, axis=1).astype(np.float64) / RANGE)
 
