@@ -36,8 +36,8 @@ smoothed over `FELT_S` and each axis clipped to 1; rates in units of `FELT_RATE`
 FELT_S = 0.05
 FELT_RATE = 4.0
 """[rad/s]"""
-SLOWEST, SLOW, FAST, QUICK = (4096 / (k * 800) for k in (1, 3, 17, 85))
-"""Time constants of gates, which are decays of the chip with four steps a sample: 5.1 to 0.06 s."""
+SLOWEST, SLOW, FAST = (4096 / (k * 800) for k in (1, 3, 17))
+"""Time constants of gates, which are decays of the chip with four steps a sample: 5.1, 1.7 and 0.3 s."""
 SMOOTH_S = 0.025
 """Time constant of innovations, τ_e, which smooths their spikes [s]."""
 TAU_S = 1.5
@@ -123,16 +123,6 @@ def untrained(vectors: int = 4, gates: int = 8, seed: int = 0, spread: float = 0
     p.take[6, :, 0], p.take[6, :, OUTPUT] = 4.0, -4.0
     p.gate[6, 4], p.level[6], p.level[7] = -0.3, 0.8, 0.4
     return p
-
-
-def with_quick_start(p: Parameters) -> Parameters:
-    """The circuit whose fast gates, if they are open at the start, close five times sooner.
-
-    Trained on recorded flights, which begin at any attitude, a circuit follows the force for half a second.
-    In closed loop this turns a vehicle over that begins with a dash: the force says level while it tilts.
-    """
-    quick = np.isclose(p.tau, FAST) & (p.onset > 0.5)
-    return p._replace(tau=np.where(quick, QUICK, p.tau))
 
 
 def quantised(p: Parameters, steps: int) -> Circuit:

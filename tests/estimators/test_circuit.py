@@ -11,14 +11,11 @@ from estimators.circuit.file import CircuitConfig, is_circuit, load_circuit, sav
 from estimators.circuit.floats import new_trace, run_floats, stepped
 from estimators.circuit.on_chip import place, populations
 from estimators.circuit.parameters import (
-    FAST,
     GRAVITY,
-    QUICK,
     RATE_HZ,
     Parameters,
     quantised,
     untrained,
-    with_quick_start,
 )
 from estimators.circuit.spikes import SpikingCircuit
 from estimators.networks.network import NetworkEstimator
@@ -52,15 +49,6 @@ def free(p):
     """The circuit without pulls: vectors turn and nothing else."""
     zero = {name: 0 * getattr(p, name) for name in ("mix", "pull", "give", "take", "read", "learn")}
     return p._replace(**zero, start=np.ones_like(p.start))
-
-
-def test_a_quick_start_closes_fast_gates_that_are_open_at_the_start_and_nothing_else():
-    p = untrained()
-    quick = with_quick_start(p)
-    differ = quick.tau != p.tau
-    assert differ.tolist() == [gate in (2, 3) for gate in range(8)]
-    assert quick.tau[2] == QUICK < FAST / 4
-    assert all(np.array_equal(getattr(p, each), getattr(quick, each)) for each in p._fields if each != "tau")
 
 
 @pytest.mark.parametrize("scenario", ["hover", "wind-8"])

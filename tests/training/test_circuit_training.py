@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from estimators.circuit.file import load_circuit
-from estimators.circuit.parameters import LEARNT, untrained
+from estimators.circuit.parameters import FAST, LEARNT, untrained
 from quadsim.dataset import generate
 from quadsim.flight.recipe import load_recipe
 from training.circuit.gradient import loss_and_gradient
+from training.circuit.start import QUICK, as_flown, settling_s
 from training.circuit.streams import StreamBatch, bias_of, draw_streams, held, interrupt, sway
 from training.config import CircuitTraining, make_config
 from training.data import load_training_flights
@@ -122,6 +123,20 @@ def test_after_a_gap_longer_than_the_host_bridges_readings_resume_and_rates_were
     for row, end in ends:
         assert not readings[0, row, end - 1].any()
         assert (readings[1] == 5.0).all()
+
+
+def test_the_start_that_flies_closes_fast_gates_soon_and_finds_a_tilt_sooner():
+    p = untrained()
+    flown, quick = as_flown(p), p._replace(tau=np.where([2 <= k < 4 for k in range(8)], QUICK, p.tau))
+    np.testing.assert_array_equal(flown.tau, quick.tau)
+    assert QUICK < FAST / 4
+    assert np.count_nonzero(flown.onset != p.onset) <= 1
+    assert settling_s(flown) <= settling_s(quick)
+    assert all(
+        np.array_equal(getattr(p, each), getattr(flown, each))
+        for each in p._fields
+        if each not in ("tau", "onset")
+    )
 
 
 def test_a_hand_sways_within_bounds():

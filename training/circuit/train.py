@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from estimators.circuit.circuit_estimator import circuit_estimator
 from estimators.circuit.file import CircuitConfig, load_circuit, save_circuit
 from estimators.circuit.floats import run_floats, stepped
-from estimators.circuit.parameters import LEARNT, OUTPUT, RATE_HZ, Parameters, untrained, with_quick_start
+from estimators.circuit.parameters import LEARNT, OUTPUT, RATE_HZ, Parameters, untrained
 from estimators.metrics import absolute_error
 
 from ..config import EPOCH_UPDATES, CircuitRun
 from ..data import TrainingFlights, load_training_flights
 from ..run_folder import Epoch
 from .gradient import begin, loss_and_gradient
+from .start import as_flown
 from .streams import Streams, draw_streams
 
 Array = NDArray[np.float64]
@@ -128,7 +129,7 @@ class CircuitLearner:
 
     def circuit(self) -> Parameters:
         """The circuit of the averaged weights, as it flies."""
-        return with_quick_start(scaled(_with(self.first, self.slow), self.streams))
+        return as_flown(scaled(_with(self.first, self.slow), self.streams))
 
     def save(self, file: Path, note: dict[str, Any]) -> None:
         """Write the circuit; the file says `note` of it."""
