@@ -35,7 +35,7 @@ def as_flown(p: Parameters) -> Parameters:
 
 
 def settling_s(p: Parameters) -> float:
-    """Time until the error of a constant tilt stays below `SETTLED_DEG`, in the worst of four directions [s]."""
+    """Time until the error of a constant tilt stays below `SETTLED_DEG`, the longest of four [s]."""
     steps, azimuth, tilt = round(WAIT_S * RATE_HZ), np.arange(4) * np.pi / 2, np.radians(TILT_DEG)
     up = np.stack([np.sin(tilt) * np.cos(azimuth), np.sin(tilt) * np.sin(azimuth), np.full(4, np.cos(tilt))])
     rest, force = np.zeros((steps, 3, 4), F), np.repeat(up[None].astype(F), steps, axis=0)
