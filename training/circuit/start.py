@@ -11,7 +11,7 @@ QUICK = 4096 / (85 * 800)
 """Time constant of a gate that is open only at the start [s]."""
 CHANGES = (-1.5, -1.0, -0.5, 0.5, 1.0, 1.5)
 """Of the opening of a slow gate at the start."""
-TILT_DEG, SETTLED_DEG, WAIT_S = 20.0, 2.0, 12.0
+TILT_DEG, SETTLED_DEG, WAIT_S = 20.0, 1.0, 12.0
 """A constant tilt [deg], the error from which on it counts as found [deg], and how long is looked at [s]."""
 
 
