@@ -115,7 +115,7 @@ def test_ten_seconds_after_a_bad_sample_or_a_gap_an_estimate_is_within_two_degre
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="the gain does not rise after a gap, as that of a filter does")
+@pytest.mark.xfail(strict=True, reason="2.2° in one of two flights; filters find it better")
 @pytest.mark.parametrize("name", CIRCUIT)
 def test_the_circuit_finds_its_attitude_within_ten_seconds_after_a_gap(clean, name):
     assert away_after_faults(clean, name)[GAP] < 2
