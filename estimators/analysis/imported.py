@@ -20,7 +20,7 @@ from ..export.layers_c import write_layers_c
 from ..export.nir_layers import FloatLayer, layers_of, read_graph
 from ..loihi.chip import partition
 from ..loihi.layers import LoihiNetwork
-from ..loihi.neurons import VTH_EXP
+from ..loihi.neurons import VTH_EXP, VTH_MAX
 from ..networks.encoder import INPUT_MAX, INPUT_ONE
 from ..networks.forward import BIAS_EXP, advance
 from ..networks.weights_file import ordered
@@ -28,6 +28,7 @@ from .activity import Activity
 from .energy import costs, counts
 
 Array = NDArray[np.float64]
+DT = Between(1e-9, 10.0, "s")
 RANDOM_RATE = 0.1
 """Random spikes per input and step."""
 
@@ -35,7 +36,7 @@ RANDOM_RATE = 0.1
 class ImportSettings(Strict):
     """How a network is imported, as set by `--set`."""
 
-    dt: Annotated[float, Between(1e-9, 10.0, "s")] | None = None
+    dt: Annotated[float, DT] | None = None
     """Step in the unit of the file's time constants [s]; None: that of its metadata."""
     input: str | None = None
     """Array (T, inputs) or (n, T, inputs), a .npy file; None: random spikes."""
@@ -70,7 +71,7 @@ def import_nir(
     dt = settings.dt or graph.metadata.get("dt")
     if dt is None:
         raise ValueError(f"{source}: has no dt; give the step of its time constants, such as --set dt=1e-4")
-    layers = layers_of(graph, float(dt))
+    layers = layers_of(graph, DT.of("dt", dt))
     x = _inputs(settings, layers[0].w_in.shape[1], seed)
     network, floats = on_chip(layers, x, graph.metadata.get("vth"))
     cores = partition(network.layers)
@@ -131,7 +132,10 @@ def on_chip(layers: Sequence[FloatLayer], x: Array, vth: int | None = None) -> t
     if encoded:  # without the recurrent connections, which are the chip's
         alone = layers[0]._replace(w_rec=np.zeros_like(layers[0].w_rec))
         drive = run_floats([alone], x, encoded)[1][0].u
-    one = None if vth is None else float(vth << VTH_EXP) / min(layer.vth.min() for layer in layers)
+    one = None
+    if vth is not None:
+        smallest = min(layer.vth.min() for layer in layers)
+        one = Between(1, VTH_MAX).of("vth", vth) * (1 << VTH_EXP) / smallest
     return quantise(layers, peaks, drive, one), floats
 
 
@@ -228,4 +232,4 @@ def _layer(layer: FloatLayer, ours: NDArray[np.int8], theirs: NDArray[np.int8]) 
 def agreement(ours: NDArray[np.int8], theirs: NDArray[np.int8]) -> float | None:
     """Spikes that two runs have in common, over those that either has; None where neither spikes."""
     either = np.count_nonzero(ours | theirs)
-    return np.count_nonzero(ours & theirs) / either if either else None
+    return float(np.count_nonzero(ours & theirs) / either) if either else None
