@@ -17,7 +17,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import h5py
 import nir
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +54,8 @@ def read_graph(path: str | Path) -> nir.NIRGraph:
         FileNotFoundError: No such file.
         ValueError: Not a NIR file, a damaged one, or arrays that no chip holds.
     """
+    import h5py  # which nir brings
+
     if not Path(path).is_file():
         raise FileNotFoundError(f"{path}: no such NIR file")
     sizes: list[int] = []

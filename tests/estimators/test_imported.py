@@ -304,6 +304,18 @@ def test_an_integrator_in_front_is_a_synapse_and_scales_multiply():
     np.testing.assert_allclose(layer.w_in, np.diag(np.arange(1.0, 9.0)) * 2.0 * 0.2 * 3.0 * 0.1)
 
 
+@pytest.mark.parametrize("encoded", [False, True])
+def test_a_bias_drives_neurons_with_a_synapse_as_in_floats_once_it_has_settled(encoded):
+    biases = nir.Affine(np.eye(8), np.linspace(0.2, 0.5, 8))
+    (layer,) = layers_of(graph_of(first=biases), 1e-4)
+    x = np.zeros((1, 400, 8))
+    x[0, -1] = 0.5 * encoded
+    _, _, chip, floats = chip_and_floats([layer._replace(syn=np.full(8, 0.9))], x)
+    late = [run.spikes[0, 100:, -8:].sum(0).astype(int) for run in (floats, chip)]
+    assert late[0].min() > 20
+    assert np.abs(late[0] - late[1]).max() <= 3
+
+
 def test_spikes_of_inputs_are_counted_as_events():
     x = spikes(300, 8)
     network, _ = on_chip(layers_of(graph_of(weight=np.full((8, 8), 9.0)), 1e-4), x)
