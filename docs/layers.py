@@ -162,7 +162,7 @@ def host_energy(config: NetworkConfig) -> list[Row]:
 
 def chip_energy(core: OnLoihi, flights: Flights) -> list[Row]:
     """The energy model of the chip line by line, and its sum."""
-    lines = costs(counts(core, record(core, flights.gyro, flights.accel)))
+    lines = costs(counts(core.cores, record(core, flights.gyro, flights.accel)))
     rows = [
         (each.operation, f"{each.count:.1f}", f"{each.picojoules:g}", each.nanojoules, f"{each.share:.1%}")
         for each in lines

@@ -20,14 +20,15 @@ class Activity:
     Neurons stand in a row, encoding, hidden, outputs.
     """
 
-    sizes: tuple[int, int, int]
-    """Neurons of the three layers."""
+    sizes: tuple[int, ...]
+    """Neurons of the layers, of Att-SNN three."""
     spikes: NDArray[np.int8]
-    """0 or 1, (n, steps, neurons)."""
+    """0 or 1, (n, steps, neurons); those of inputs that spike stand before them."""
     active: NDArray[np.int64]
     """Steps in which a neuron had anything to update: a current, a potential or a bias, (n, neurons)."""
     estimate: Array
-    """Roll and pitch after each sample, (n, T, 2) [rad]; of a controller its outputs, (n, T, 3) [rad/s²]."""
+    """Roll and pitch after each sample, (n, T, 2) [rad]; of a controller its outputs, (n, T, 3) [rad/s²]; of
+    an imported network the output potentials (n, T, outputs)."""
 
     @property
     def rates(self) -> Array:

@@ -68,22 +68,23 @@ class Cost:
         return self.count * self.picojoules / 1e3
 
 
-def counts(core: OnLoihi, activity: Activity) -> dict[str, float]:
+def counts(cores: Sequence[ChipCore], activity: Activity) -> dict[str, float]:
     """Operations per step on the chip, mean over the flights.
 
     A spike causes one synaptic event for each of its synapses (weights of zero are not stored), and one
-    message to each core that holds any of them. Messages travel between tiles of four cores in a row.
+    message to each core that holds any of them. Messages travel between tiles of four cores in a row, those
+    of inputs from the first.
     """
     spikes = activity.spikes.sum(axis=(0, 1)) / activity.steps
-    updates = float(sum(placed.used()["compartments"] for placed in core.cores))
+    updates = float(sum(placed.used()["compartments"] for placed in cores))
     active = float(activity.active.sum() / activity.steps)
-    fan_out = synapses(core.cores, sum(activity.sizes))
-    edges = np.cumsum((0, *core.sizes))
-    home = np.empty(edges[-1], np.int64)
-    for number, placed in enumerate(core.cores):
+    fan_out = synapses(cores, spikes.size)
+    edges = spikes.size - sum(activity.sizes) + np.cumsum((0, *activity.sizes))
+    home = np.zeros(edges[-1], np.int64)
+    for number, placed in enumerate(cores):
         for layer, ids in placed.neurons.items():
             home[edges[layer] + np.array(ids)] = number
-    tile = np.arange(len(core.cores)) // CORES_PER_TILE
+    tile = np.arange(len(cores)) // CORES_PER_TILE
     distance = np.abs(tile[home][:, None] - tile[None, :])  # (neurons, cores)
     reached = fan_out > 0
     return {
@@ -96,7 +97,7 @@ def counts(core: OnLoihi, activity: Activity) -> dict[str, float]:
 
 
 def synapses(cores: Sequence[ChipCore], neurons: int) -> NDArray[np.int64]:
-    """Synapses of each neuron on each core, (neurons, cores)."""
+    """Synapses of each neuron on each core, (neurons, cores); with more than there are, of inputs too."""
     return np.stack([core.synapses.sum(0)[-neurons:] for core in cores], axis=1)
 
 
@@ -120,7 +121,7 @@ def summary(config: NetworkConfig, core: OnLoihi, flights: Flights) -> dict[str,
         raise ValueError(f"the network is for {config.rate_hz:g} Hz, the flights have {flights.rate_hz:g} Hz")
     activity = record(core, flights.gyro, flights.accel)
     rates = {name: activity.of_layer(activity.rates, k) for k, name in enumerate(("encoding", "hidden"))}
-    lines = costs(counts(core, activity))
+    lines = costs(counts(core.cores, activity))
     found = {
         f"{name} layer": f"{each.mean():.3f} spikes per neuron and step, {(each == 0).sum()} silent"
         for name, each in rates.items()

@@ -49,7 +49,7 @@ def look(folder: Path, inputs: Inputs) -> Numbers:
         },
         "fractions": FRACTIONS,
         "ablation": {by: errors.tolist() for by, errors in curves.items()},
-        "costs": [asdict(each) for each in costs(counts(core, activity))],
+        "costs": [asdict(each) for each in costs(counts(core.cores, activity))],
         "flops": flops | {"gru": gru_flops(twin.encoding, twin.hidden, twin.n_outputs)},
     }
 

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from ..runs.console import pool_of, progress_bar, say
-from .options import Force, Imu, LearningSeed, Mount, Pool, Truth, fields_of
+from ..runs.console import pool_of, print_table, progress_bar, say
+from .options import Force, Imu, LearningSeed, Mount, Pool, Seed, Truth, fields_of
 
 
 def generate(
@@ -70,33 +70,57 @@ def generate(
 def export(
     source: Annotated[
         list[str],
-        typer.Argument(help="A dataset, weights (a file or a name from quadsim list weights), or logs."),
+        typer.Argument(
+            help="A dataset, weights (a file or a name from quadsim list weights), logs, or another tool's "
+            "network (FILE.nir)."
+        ),
     ],
     out: Annotated[Path, typer.Option(help="File or folder to write; it must not exist.")],
     format: Annotated[
-        str,
+        str | None,
         typer.Option(
             help="For a dataset: netcdf, parquet (one flat table), huggingface (a folder with its card), csv "
             "(EuRoC folders) or rosbag2. For weights: c99 (spiking networks), nir (networks of layers) or "
             "onnx (GRU networks). "
-            "For logs: zarr (a dataset)."
+            "For logs: zarr (a dataset). FILE.nir needs none."
         ),
-    ],
+    ] = None,
     piece: Annotated[float, typer.Option(min=1, help="For logs: length of the pieces, in seconds.")] = 20.0,
     rate: Annotated[float, typer.Option(min=50, max=2000, help="For logs: samples per second.")] = 200.0,
     mount: Mount = None,
     truth: Truth = None,
     imu: Imu = None,
     force: Force = False,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            help="For FILE.nir, as name=value: dt (step of its time constants, in seconds), input (a .npy "
+            "array of T × inputs; default: random spikes), steps (of random spikes). Repeat for more.",
+        ),
+    ] = None,
+    seed: Seed = 0,
 ) -> None:
     """Convert a dataset or a network to another tool's format, or logs to a dataset.
+
+    A network in NIR, from Norse, snnTorch or another tool, is rounded to the integers of the emulated Loihi
+    and compared with floats. The folder gets the integers, C99 and a report: agreement, cores, energy.
 
     Example: quadsim export att-snn --format c99 --out firmware/att_snn
 
     Example: quadsim export data/train.zarr --format netcdf --out train.nc
 
     Example: quadsim export flight.ulg --format zarr --out data/mine.zarr
+
+    Example: quadsim export mine.nir --set dt=1e-4 --out chip/mine
     """
+    if source[0].endswith(".nir"):
+        _import(source, out, format, set_, seed)
+        return
+    if format is None:
+        raise ValueError(f"{source[0]}: --format is missing; only FILE.nir needs none")
+    if set_:
+        raise ValueError("--set is for FILE.nir")
     from estimators.circuit.file import is_circuit
     from estimators.export.formats import FORMATS, export_weights
     from estimators.networks.weights_file import END, shipped_controllers, shipped_names
@@ -122,3 +146,23 @@ def export(
         with progress_bar("export", "flights") as progress:
             export_dataset(source[0], out, format, progress)
     say(f"{out}: {source[0]} as {format}")
+
+
+def _import(source: list[str], out: Path, format: str | None, set_: list[str] | None, seed: int) -> None:
+    from estimators.analysis.imported import ImportSettings, import_nir
+
+    from ..config.toml import parse
+
+    if len(source) > 1 or format is not None:
+        raise ValueError(f"{source[0]}: one NIR file is converted for the chip, without --format")
+    report = import_nir(source[0], out, parse(fields_of(set_), ImportSettings, "--set"), seed)
+    print_table([map(_short, each.values()) for each in report["layers"]], [*report["layers"][0]])
+    print_table((name, _short(each)) for name, each in report.items() if not isinstance(each, (dict, list)))
+    same = "no neuron spikes on this input"
+    if report["agreement"] is not None:
+        same = f"{report['agreement']:.1%} of spikes as in floats"
+    say(f"{out}: {report['cores']} of a chip's 128 cores, {same}")
+
+
+def _short(value: object) -> object:
+    return f"{value:.4g}" if isinstance(value, float) else value

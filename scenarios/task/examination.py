@@ -116,7 +116,7 @@ def energy_of(card: Card, flights: Flights) -> tuple[float | None, float | None,
         config, tensors = load_network(source)
         if config.model == "att-snn":
             core = OnLoihi(config, tensors)
-            counted = counts(core, record(core, piece.gyro, piece.accel))
+            counted = counts(core.cores, record(core, piece.gyro, piece.accel))
             return counted["synaptic event"], sum(each.nanojoules for each in costs(counted)), chip
     operations, how = card.operations, "as its class says"
     if operations is None and not is_network(source) and not card.compiled:

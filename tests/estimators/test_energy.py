@@ -54,7 +54,7 @@ def test_events_are_spikes_times_the_weights_that_they_meet(network, core, activ
     events = (encoding @ (tensors["w_ff"] != 0).T.sum(1)).sum()
     of_hidden = ("w_rec", "w_out")
     events += (hidden @ sum((tensors[name] != 0).sum(0) for name in of_hidden)).sum()
-    counted = counts(core, activity)
+    counted = counts(core.cores, activity)
     assert counted["synaptic event"] == pytest.approx(events / activity.steps)
     assert counted["active neuron update"] + counted["inactive neuron update"] == pytest.approx(neurons)
     stored = sum(np.count_nonzero(tensors[name]) for name in ("w_ff", "w_rec", "w_out"))
@@ -70,7 +70,7 @@ def test_the_modelled_energy_is_that_of_davies_2018():
 
 
 def test_shares_are_what_a_wrong_coefficient_does_to_the_sum(core, activity, monkeypatch):
-    counted = counts(core, activity)
+    counted = counts(core.cores, activity)
     before = costs(counted)
     total = sum(line.nanojoules for line in before)
     assert sum(line.share for line in before) == pytest.approx(1.0)
