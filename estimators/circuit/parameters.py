@@ -37,7 +37,7 @@ FELT_S = 0.05
 FELT_RATE = 4.0
 """[rad/s]"""
 SLOWEST, SLOW, FAST, QUICK = (4096 / (k * 800) for k in (1, 3, 17, 85))
-"""Time constants of gates, which are decays of the chip with four steps a sample: 5.1 to 0.06 s."""
+"""Time constants of gates, which are decays of the chip with four steps per sample: 5.1 to 0.06 s."""
 SMOOTH_S = 0.025
 """Time constant of innovations, τ_e, which smooths their spikes [s]."""
 TAU_S = 1.5
@@ -136,7 +136,7 @@ def with_quick_start(p: Parameters) -> Parameters:
 
 
 def quantised(p: Parameters, steps: int) -> Circuit:
-    """The circuit in the chip's integers, with so many steps a sample."""
+    """The circuit in the chip's integers, with this many steps per sample."""
     h = 1 / (RATE_HZ * steps)
     s = p.scale
     felt = round(4096 * h / FELT_S)

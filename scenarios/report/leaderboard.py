@@ -204,8 +204,8 @@ def fronts(entries: Sequence[Entry]) -> Figure:
     shown = [each for each in entries if not each.reasons and each.loop and each.cost]
     drawn = looks([each.card.name for each in shown])
     panels: Mapping[str, Any] = {
-        "modelled energy a sample [nJ]": lambda cost: cost.nanojoules,
-        "time a sample in Python [µs]": lambda cost: cost.ns / 1e3,
+        "modelled energy per sample [nJ]": lambda cost: cost.nanojoules,
+        "time per sample in Python [µs]": lambda cost: cost.ns / 1e3,
     }
     for axes, (label, of) in zip(figure.subplots(1, 2), panels.items(), strict=True):
         found = [(of(each.cost), each.loop and each.loop.error_deg, each.card.name) for each in shown]

@@ -410,7 +410,7 @@ def test_other_files_are_refused_in_one_line(tmp_path):
 
 
 def plain_floats(p: Parameters, gyro, accel, again):
-    """The equations of `estimators.circuit.parameters`, an Euler step a sample, in float64."""
+    """The equations of `estimators.circuit.parameters`, an Euler step per sample, in float64."""
     dt, v = 1 / RATE_HZ, len(p.start)
     axes = [0, 0, 1]
     x, b, u, smooth = np.zeros((v, 3)), np.zeros(3), p.onset.copy(), np.zeros((3, 3))
