@@ -281,7 +281,7 @@ def test_a_constant_is_not_compared_however_small_its_force_is():
     found = scores.compared["noisy"]
     assert "the same roll and pitch" in found.flaws["zero"]
     assert "zero" not in found.force
-    assert f"of a level guess {found.level_force:.2f} m/s²" in " ".join(log_verdict(scores).lines)
+    assert f"{found.level_force:.2f} m/s² for a level guess" in " ".join(log_verdict(scores).lines)
 
 
 def test_a_force_as_small_as_that_of_a_level_guess_favours_nobody():
