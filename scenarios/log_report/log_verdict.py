@@ -115,8 +115,8 @@ def _by_log(scores: LogScores) -> Iterator[str]:
     if first < len(logs):
         worst = (errors.loc[best] / errors.min()).idxmax()
         value, name = errors[worst].min(), errors[worst].idxmin()
-        text += f"; it is furthest behind on {worst}: {errors.at[best, worst]:.2f}°; {name} has "
-        text += f"{value:.2f}°"
+        text += f"; it is furthest behind on {worst}, with {errors.at[best, worst]:.2f}° "
+        text += f"against {value:.2f}° of {name}"
     yield f"{text}."
 
 
