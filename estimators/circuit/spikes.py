@@ -152,8 +152,8 @@ def _quanta(waiting, units, most):
 def _encode(row, state, n_w, n_a):
     """Spikes of the encoders, on the host."""
     for i in range(3):
-        told = row[i] - BIAS_UNITS * state.bias[2, i]
-        n_w[i], state.angle[i] = _quanta(state.angle[i] + told, ANGLE_UNITS, ANGLE_MAX)
+        unbiased = row[i] - BIAS_UNITS * state.bias[2, i]
+        n_w[i], state.angle[i] = _quanta(state.angle[i] + unbiased, ANGLE_UNITS, ANGLE_MAX)
         n_a[i], state.force[i] = _quanta(state.force[i] + row[3 + i], FORCE_UNITS, FORCE_MAX)
         state.events[0] += DIGITS[abs(n_w[i])]
         state.events[8] += DIGITS[abs(n_a[i])]

@@ -52,7 +52,8 @@ def train(
         list[str] | None,
         typer.Option(
             "--set",
-            help="Any other setting, as name=value or table.name=value. For an unknown name, the list is printed.",
+            help="Any other setting, as name=value or table.name=value. For an unknown name, the list is "
+            "printed.",
         ),
     ] = None,
     seed: LearningSeed = 0,
