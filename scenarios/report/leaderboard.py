@@ -25,11 +25,11 @@ from .template import render
 ERROR = "error_deg"
 FOOTER = (
     "Entries are ranked by the number of flights without a crash, then by the time to the crash, then by "
-    "the error on the flights that all entries with as many survived flights completed. "
-    "'Better than the leader' is the share of flights, averaged over scenarios, in which the error is "
-    "smaller than the leader's on the same flight; a crash is worse than any error, and equal flights count half. "
-    "All intervals are 95 % intervals: Wilson's for crashes, the bootstrap's over scenarios, flights or "
-    "trials elsewhere."
+    "the error on the flights that all entries with as many survived flights completed. 'Better than the "
+    "leader' is the share of flights, averaged over scenarios, in which the error is smaller than the "
+    "leader's on the same flight; a crash is worse than any error, and equal flights count half. All "
+    "intervals are 95 % intervals: Wilson's for crashes, the bootstrap's over scenarios, flights or trials "
+    "elsewhere."
 )
 
 
