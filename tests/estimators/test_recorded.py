@@ -270,7 +270,7 @@ def test_a_log_without_truth_is_compared_and_no_estimator_is_crowned(tmp_path):
     assert "not a finite number" in found.flaws["broken"]
     verdict = log_verdict(scores)
     assert verdict.headline == "No true attitude, no errors; the mean force favours without, same."
-    assert any("It is near zero for a right attitude" in line for line in verdict.lines)
+    assert any("It is near zero for a correct attitude" in line for line in verdict.lines)
     assert "horizontal force" in write_log_report(tmp_path / "r.html", scores).read_text()
 
 
