@@ -315,7 +315,7 @@ def test_what_imm_believes_of_a_log_without_truth_has_its_sigma(tmp_path):
     log = biased_start(0.0, 20.0)
     scores = score_logs([log], {"imm": create("imm")})
     assert any(
-        re.search(r"imm believed.*its σ is \d+\.\d° in the median", line)
+        re.search(r"Mean model probabilities of imm.*its σ is \d+\.\d° in the median", line)
         for line in log_verdict(scores).lines
     )
     assert "sigma|imm, roll" in write_log_report(tmp_path / "r.html", scores).read_text()
