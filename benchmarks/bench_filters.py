@@ -44,7 +44,7 @@ def ns_per_sample(name: str, gyro: NDArray, accel: NDArray, repetitions: int) ->
 
 
 def torch_gru(gyro: NDArray, accel: NDArray) -> float:
-    """Nanoseconds a sample of PyTorch's GRU with the sizes of att-rnn-paper, its inputs scaled already."""
+    """Nanoseconds per sample of PyTorch's GRU with the sizes of att-rnn-paper, its inputs scaled already."""
     torch.set_num_threads(1)
     network = torch.nn.GRU(6, load_network("att-rnn-paper")[0].hidden, num_layers=2, batch_first=True)
     x = torch.tensor(np.concatenate([gyro, accel], axis=-1), dtype=torch.float32)

@@ -90,8 +90,8 @@ def compared(home: Flights) -> dict[str, AttitudeEstimator]:
         "trained, gates fixed": spiking(held(p, home), 4),
         FLOATS: circuit_estimator("att-rnn", p),
         SPIKES: spiking(p, config.steps_per_sample),
-        "2 steps a sample": spiking(p, 2),
-        "1 step a sample": spiking(p, 1),
+        "2 steps per sample": spiking(p, 2),
+        "1 step per sample": spiking(p, 1),
         "silenced: always level": NetworkEstimator(Silent(), RATE_HZ),
         **made_of(["att-snn-paper", "att-rnn-paper", "vqf", "imm"], RATE_HZ),
     }
@@ -200,7 +200,7 @@ def neurons() -> list[Row]:
 
 
 def by_steps(data: Path) -> tuple[list[Row], list[Row]]:
-    """What the circuit does on the Hummingbird's test flights, and with fewer steps and spikes a sample."""
+    """What the circuit does on the Hummingbird's test flights, and with fewer steps and spikes per sample."""
     simulated("test", data)
     config, p = load_circuit(NAME)
     found = {

@@ -75,7 +75,7 @@ def base_of(title: str) -> str:
     return TEACHER if NAMES[title].startswith("truth") else BASE
 
 
-def spread(ratios: pd.Series) -> str:
+def median_and_range(ratios: pd.Series) -> str:
     """Median and range."""
     return f"{ratios.median(skipna=False):.2f} ({ratios.min():.2f} to {ratios.max():.2f})"
 
@@ -86,7 +86,7 @@ def summary(rows: pd.DataFrame) -> list[Row]:
     nominal, found = tracking.loc[list(NOMINAL)], []
     for title, name in NAMES.items():
         base = NAMES[base_of(title)]
-        ratios = (spread(nominal[name] / nominal[other]) for other in (base, NAMES[TEACHER]))
+        ratios = (median_and_range(nominal[name] / nominal[other]) for other in (base, NAMES[TEACHER]))
         aggressive = f"{tracking.loc[list(AGGRESSIVE), name].mean():.1f}"
         both = crashes[name].sum(), (crashes[name] - crashes[base]).clip(lower=0).sum()
         change = jitter.loc[list(NOMINAL), name].mean(skipna=False)
@@ -178,7 +178,12 @@ def with_profiles() -> list[Row]:
     rows = flown("profiles", ["truth", *names.values()], scenarios=NOMINAL)
     tracking, crashes = rows["attitude_deg"].unstack(), rows["crashes"].unstack().sum()
     return [
-        (title, spread(tracking[name] / tracking["truth"]), f"{crashes[name]:.0f}", f"{crashes['truth']:.0f}")
+        (
+            title,
+            median_and_range(tracking[name] / tracking["truth"]),
+            f"{crashes[name]:.0f}",
+            f"{crashes['truth']:.0f}",
+        )
         for title, name in names.items()
     ]
 

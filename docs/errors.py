@@ -145,7 +145,7 @@ WITHOUT_DRAG = ("mahony", "madgwick", "ekf", "eskf", "vqf")
 ALONE = "att-snn-paper"
 ROWS = {
     "best": "best of `mahony`, `madgwick`, `ekf`, `eskf` and `vqf`",
-    "imm": "`imm`, needs no data of the vehicle",
+    "imm": "`imm`, needs no vehicle data",
     "ekf-drag": "`ekf-drag`, given the vehicle's drag",
     "att-snn-loihi": "**Att-SNN on the emulated chip**",
     "att-rnn": "Att-RNN, the same network in floats",

@@ -137,7 +137,7 @@ def placed(core: OnLoihi) -> pd.DataFrame:
 def by_profiles(config: NetworkConfig, tensors: Tensors, flights: Flights) -> list[Row]:
     """What sharing decay profiles costs."""
     silent = error_deg(config, silenced(config, tensors), flights)
-    shared = {"one a neuron": tensors} | {str(k): share_profiles(tensors, k) for k in PROFILES}
+    shared = {"one per neuron": tensors} | {str(k): share_profiles(tensors, k) for k in PROFILES}
     return [
         (name, len(OnLoihi(config, each).cores), error_deg(config, each, flights), silent)
         for name, each in shared.items()
@@ -185,5 +185,5 @@ def chip(part: Part, given: Namespace) -> Values:
         "multiplication": f"{HOST_PICOJOULES['multiplication']:g}",
         "addition": f"{HOST_PICOJOULES['addition']:g}",
         "energy": chip_energy(core, flights),
-        "paper": " and ".join(f"{value:g} {unit}" for unit, value in PAPER_MEASURED.items()) + " a step",
+        "paper": " and ".join(f"{value:g} {unit}" for unit, value in PAPER_MEASURED.items()) + " per step",
     }

@@ -2,7 +2,7 @@
 
     python examples/ppo.py [--steps 65536] [--seeds 1] [--out reports/ppo]
 
-The agent replaces the position and velocity loops. Twenty times a second it chooses roll, pitch, yaw and
+The agent replaces the position and velocity loops. At 20 Hz it chooses roll, pitch, yaw and
 thrust, and the loops below fly them on the attitude that Mahony's filter estimates. An episode of 5 s starts
 1.1 m from the set-point, at 1 m/s in any direction. All vehicles of a training fly as one batch.
 

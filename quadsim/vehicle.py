@@ -155,7 +155,7 @@ def load_vehicle(source: str | Path) -> Vehicle:
 
 
 class Randomisation(Strict):
-    """Relative half-width of each number's range, drawn per flight: a factor of 1 + U(−spread, spread)."""
+    """Relative half-width of each number's range, drawn per flight: the factor is 1 + U(−r, r)."""
 
     mass: float = Field(default=0.0, ge=0, lt=0.5, description="Spread of the mass (the inertia follows).")
     inertia: float = Field(default=0.0, ge=0, lt=0.5, description="Spread of the inertia beyond that.")
@@ -166,18 +166,18 @@ class Randomisation(Strict):
     motor_lag: float = Field(default=0.0, ge=0, lt=0.9, description="Spread of both motor time constants.")
 
 
-def randomise(vehicle: Vehicle, spread: Randomisation, rng: np.random.Generator) -> Vehicle:
-    """Draw one vehicle of the family around `vehicle`. Zero spread returns the same numbers."""
+def randomise(vehicle: Vehicle, ranges: Randomisation, rng: np.random.Generator) -> Vehicle:
+    """Draw one vehicle of the family around `vehicle`. Ranges of zero return the same numbers."""
 
     def factor(width: float) -> float:
         return 1.0 + width * rng.uniform(-1.0, 1.0)
 
     mass, k_f, k_m, drag, area, lag = map(
         factor,
-        (spread.mass, spread.thrust, spread.torque, spread.rotor_drag, spread.frame_drag, spread.motor_lag),
+        (ranges.mass, ranges.thrust, ranges.torque, ranges.rotor_drag, ranges.frame_drag, ranges.motor_lag),
     )
     # the pair (x, y) shares one draw, so that no draw breaks the triangle inequality of a flat airframe
-    across, along = factor(spread.inertia), factor(spread.inertia)
+    across, along = factor(ranges.inertia), factor(ranges.inertia)
     ixx, iyy, izz = vehicle.inertia
     ixx, iyy = ixx * mass * across, iyy * mass * across
     drawn = _scaled(vehicle, area, k_f=k_f, k_m=k_m, rotor_drag=drag, tau_up=lag, tau_down=lag)

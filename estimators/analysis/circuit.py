@@ -38,8 +38,8 @@ class Measured:
         return [
             *((f"spikes of {kind}", f"{rate:,.0f} /s") for kind, rate in self.spikes.items()),
             ("all spikes", f"{sum(self.spikes.values()):,.0f} /s"),
-            ("synaptic events", f"{self.synaptic_events:.0f} a step"),
-            ("modelled dynamic energy", f"{self.nanojoules:.0f} nJ a step"),
+            ("synaptic events", f"{self.synaptic_events:.0f} per step"),
+            ("modelled dynamic energy", f"{self.nanojoules:.0f} nJ per step"),
             ("error", f"{self.error_deg:.2f}°"),
         ]
 

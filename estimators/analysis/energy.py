@@ -127,7 +127,7 @@ def summary(config: NetworkConfig, core: OnLoihi, flights: Flights) -> dict[str,
         for name, each in rates.items()
     }
     found |= {f"{each.operation}, a step": f"{each.count:.4g}" for each in lines}
-    found["modelled dynamic energy"] = f"{sum(each.nanojoules for each in lines):.0f} nJ a step"
+    found["modelled dynamic energy"] = f"{sum(each.nanojoules for each in lines):.0f} nJ per step"
     return found | {"error": f"{attitude_error(activity.estimate, flights.truth).mean:.2f}°"}
 
 

@@ -14,7 +14,7 @@ from .parameters import GRAVITY, OUTPUT, RATE_HZ, Parameters, quantised
 from .spikes import SpikingCircuit
 
 GYRO_RANGE = INPUT_ONE * 2.0**-17 * RATE_HZ
-"""Body rate of an input of 1.0 [rad/s]: an integer input is a multiple of 2^-17 rad a sample."""
+"""Body rate of an input of 1.0 [rad/s]: an integer input is a multiple of 2^-17 rad per sample."""
 SCALING = Scaling(np.zeros(6), INPUT_ONE / np.array([GYRO_RANGE] * 3 + [GRAVITY] * 3))
 
 

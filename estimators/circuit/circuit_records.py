@@ -41,15 +41,15 @@ TURN_BITS = 10
 FORCE = 0.25
 """Specific force of a quantum, in units of 9.81 m/s²."""
 TURN_RATE = 2.0**-TURN_BITS * 200
-"""Body rate of a quantum of angle in every step [rad/s], whatever the steps a sample."""
+"""Body rate of a quantum of angle in every step [rad/s], whatever the number of steps per sample."""
 BIAS_RATE = TURN_RATE * BIAS_UNITS / ANGLE_UNITS
 """Bias of a spike in every step, the largest that is taken from a rate: 5.6 °/s, in rad/s."""
 LEAD = 3
 """Half steps by which a vector's spikes run ahead of it in a turn. A turn reaches the vector a step and a
 half after the middle of the spikes that it multiplied; with the lead, its length stays as it is."""
 RINGS = 16, 15
-"""Neurons of two rings. In each ring one spikes a step, in turn; both add to the thresholds of gates and of
-what feels, the first in steps of 1/16, the second in fifteenths of that."""
+"""Neurons of two rings. In each ring, one neuron spikes per step, in turn. Both add to the thresholds of
+gates and gate inputs: the first ring in steps of 1/16, the second in fifteenths of that."""
 
 
 def _thresholds():

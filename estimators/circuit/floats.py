@@ -1,6 +1,6 @@
 """Att-RNN: the circuit in floats, which the trainer also runs; n copies side by side.
 
-The equations are those of `estimators.circuit.parameters`, with one Euler step a sample; the turn is
+The equations are those of `estimators.circuit.parameters`, with one Euler step per sample; the turn is
 x - θ × x + θ × (θ × x) / 2 for an angle θ = (ω - b) dt. Arrays have the copies last: (time, axis, copy).
 """
 

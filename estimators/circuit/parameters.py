@@ -37,7 +37,7 @@ FELT_S = 0.05
 FELT_RATE = 4.0
 """[rad/s]"""
 SLOWEST, SLOW, FAST = (4096 / (k * 800) for k in (1, 3, 17))
-"""Time constants of gates, which are decays of the chip with four steps a sample: 5.1, 1.7 and 0.3 s."""
+"""Time constants of gates, which are decays of the chip with four steps per sample: 5.1, 1.7 and 0.3 s."""
 SMOOTH_S = 0.025
 """Time constant of innovations, τ_e, which smooths their spikes [s]."""
 TAU_S = 1.5
@@ -77,15 +77,15 @@ def expected_shapes(vectors: int, gates: int, pairs: int) -> dict[str, tuple[int
     }  # fmt: skip
 
 
-def untrained(vectors: int = 4, gates: int = 8, seed: int = 0, spread: float = 0.0) -> Parameters:
+def untrained(vectors: int = 4, gates: int = 8, seed: int = 0, weight_noise: float = 0.0) -> Parameters:
     """The circuit of the equation: gravity in two stages, pulled fast at the start and slowly later.
 
     Args:
         vectors: V, at least 4.
         gates: Q, at least 8.
         seed: Of the noise.
-        spread: Standard deviation of what is added to the weights, to distinguish units that training will
-            use; relative to 0.01 /s.
+        weight_noise: Standard deviation of the noise that is added to the weights so that units differ before
+            training; relative to 0.01 /s.
     """
     rng = np.random.default_rng(seed)
     shapes = expected_shapes(vectors, gates, pairs=1)
@@ -96,11 +96,11 @@ def untrained(vectors: int = 4, gates: int = 8, seed: int = 0, spread: float = 0
     p.tau[0::2], p.tau[1::2] = FAST, SLOW
     p.tau[:8] = SLOW, SLOW, FAST, FAST, FAST, FAST, SLOWEST, FAST
     p.start[2] = 0
-    p.mix[:] += 0.01 * spread * rng.standard_normal(p.mix.shape)
-    p.give[:] += 0.01 * spread * rng.standard_normal(p.give.shape)
-    p.take[:] += 0.05 * spread * rng.standard_normal(p.take.shape)
-    p.read[:] += 0.05 * spread * rng.standard_normal(p.read.shape)
-    p.gate[8:] = 0.1 * spread * rng.standard_normal(p.gate[8:].shape)
+    p.mix[:] += 0.01 * weight_noise * rng.standard_normal(p.mix.shape)
+    p.give[:] += 0.01 * weight_noise * rng.standard_normal(p.give.shape)
+    p.take[:] += 0.05 * weight_noise * rng.standard_normal(p.take.shape)
+    p.read[:] += 0.05 * weight_noise * rng.standard_normal(p.read.shape)
+    p.gate[8:] = 0.1 * weight_noise * rng.standard_normal(p.gate[8:].shape)
     p.level[8:] = 0.4
     # the first vector follows the force; the third has what the force is in excess of it, as a velocity has
     p.mix[:, 0, 0] -= 1 / TAU_S
@@ -126,7 +126,7 @@ def untrained(vectors: int = 4, gates: int = 8, seed: int = 0, spread: float = 0
 
 
 def quantised(p: Parameters, steps: int) -> Circuit:
-    """The circuit in the chip's integers, with so many steps a sample."""
+    """The circuit in the chip's integers, with this many steps per sample."""
     h = 1 / (RATE_HZ * steps)
     s = p.scale
     felt = round(4096 * h / FELT_S)

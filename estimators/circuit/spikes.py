@@ -1,6 +1,6 @@
 """Att-SNN: the circuit on spikes, in the integers of the chip.
 
-A step lasts 1 / (200 S) s, with S steps a sample. Membranes and currents have 24 bits with their sign, and
+A step lasts 1 / (200 S) s, with S steps per sample. Membranes and currents have 24 bits with their sign, and
 1.0 is 2^20 of their units. Spikes are signed here; on the chip each is that of one of two neurons with
 mirrored synapses. Index t is the value after step t. Every connection delivers after one step:
 
@@ -69,7 +69,7 @@ class SpikingCircuit:
         scaling: Of the readings.
         circuit: Its parameters.
         output: Which vector is read.
-        steps: Steps a sample, 1, 2 or 4.
+        steps: Steps per sample, 1, 2 or 4.
         unit: Length of the estimate for which the vector's neurons spike in every step.
     """
 
@@ -113,7 +113,7 @@ def run_circuit(gyro, accel, set_points, settings, numbers, states, out):
 
 @njit
 def step(row, state, circuit, steps, spikes):
-    """One step of a copy, of so many a sample, from its last readings; `spikes` is written."""
+    """One step of a copy, of several per sample, from its last readings; `spikes` is written."""
     s, n_w, n_a, heard, opened = spikes
     state.ring[0] = state.ring[0] % RING.size + 1
     threshold = RING[state.ring[0] - 1]
@@ -152,8 +152,8 @@ def _quanta(waiting, units, most):
 def _encode(row, state, n_w, n_a):
     """Spikes of the encoders, on the host."""
     for i in range(3):
-        told = row[i] - BIAS_UNITS * state.bias[2, i]
-        n_w[i], state.angle[i] = _quanta(state.angle[i] + told, ANGLE_UNITS, ANGLE_MAX)
+        unbiased = row[i] - BIAS_UNITS * state.bias[2, i]
+        n_w[i], state.angle[i] = _quanta(state.angle[i] + unbiased, ANGLE_UNITS, ANGLE_MAX)
         n_a[i], state.force[i] = _quanta(state.force[i] + row[3 + i], FORCE_UNITS, FORCE_MAX)
         state.events[0] += DIGITS[abs(n_w[i])]
         state.events[8] += DIGITS[abs(n_a[i])]

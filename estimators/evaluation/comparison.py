@@ -47,7 +47,7 @@ COLUMNS = {
     "log": "Name of a log; empty for a dataset.",
     "estimator": "Name, or path of a network's weights.",
     "initial": 'Whether the initial attitude was given: "known" or "unknown". Networks are never given it.',
-    "bias": "Of a log: gyroscope as it reads (raw), or with its mean bias taken off (known).",
+    "bias": "For a log: the gyroscope as recorded (raw), or with its mean bias subtracted (known).",
     "median_deg": "Mean absolute error of roll and pitch, pooled, of a sequence; median over sequences.",
     "mean_deg": "Mean over sequences,",
     "sd_deg": "standard deviation,",

@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 logger = logging.getLogger(__name__)
 
 RAW, KNOWN = "raw", "known"
-"""Gyroscope as it reads, and with its mean bias over the log taken off, where that is significant."""
+"""The gyroscope as recorded, and with its mean bias over the log subtracted where it is significant."""
 NO_ATTITUDE = "it has no attitude"
 """Why a log is compared in place of scored."""
 SKIP_S = 3.0
@@ -39,7 +39,7 @@ SKIP_S = 3.0
 
 @dataclass
 class ScoredLog:
-    """One log, and estimators on it with the gyroscope as it reads."""
+    """One log, and estimators on it with the gyroscope as recorded."""
 
     flights: Flights
     """The log as one flight; its truth is NaN where it does not count."""
@@ -105,7 +105,7 @@ class LogScores(Evaluation):
         return float(self._means(self.on_logs(column="silenced_inclination_deg")).get(estimator, np.nan))
 
     def means(self, estimator: str) -> tuple[float, float, float]:
-        """Mean errors with the gyroscope as it reads, without its bias, and of the network silenced [deg]."""
+        """Mean errors with the gyroscope as recorded, without its bias, and of the silenced network [deg]."""
         return self.mean(estimator, RAW), self.mean(estimator, KNOWN), self.silenced(estimator)
 
     def _means(self, on_logs: pd.DataFrame) -> dict[str, float]:

@@ -30,7 +30,7 @@ class Parameter:
     searched: bool = True
     """False for a known constant that tuning leaves alone."""
     per_sample: Literal["", "weight", "memory"] = ""
-    """What a number that acts once a sample does, so that it can be converted to another sample rate."""
+    """What a number that acts once per sample does, so that it can be converted to another sample rate."""
 
     def at(self, unit: ArrayLike) -> NDArray[np.float64]:
         """Value at a position of the search, 0…1 -> low…high."""

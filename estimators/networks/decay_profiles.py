@@ -1,4 +1,4 @@
-"""Few decay profiles instead of one a neuron, so that a network fits on fewer cores."""
+"""Few decay profiles instead of one per neuron, so that a network fits on fewer cores."""
 
 from __future__ import annotations
 

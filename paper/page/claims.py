@@ -81,7 +81,7 @@ def judge(numbers: Numbers, judges: bool = True) -> list[Judgement]:
         except TooShortError as error:
             measured = str(error)
         if not judges:
-            measured += "; preset quick is for a look, and judges nothing"
+            measured += "; the preset quick judges no claim"
         said = {key: claim[key] for key in ("item", "claim", "rule", "limits")}
         judged.append(Judgement(**said, verdict=verdict, measured=measured))
     return judged
@@ -127,7 +127,7 @@ def quoted_mean(method: str) -> float:
 
 
 def operations(neurons: int, inputs: int) -> dict[str, int]:
-    """Operations a step of a layer by the paper's formulas."""
+    """Operations per step of a layer by the paper's formulas."""
     m, n = neurons, inputs
     return {"snn": m * m + m * n + 2 * m, "gru": 3 * m * m + 3 * m * n + 3 * m}
 
@@ -195,7 +195,10 @@ def single_sources(numbers: Numbers, limit: float) -> Judged:
     mixed = [error for name, each in folds.items() if name not in CROSS for error in each["test"]]
     to_real, to_sim = (ratio(folds[source]["test"], mixed) for source in CROSS)
     both = to_real, to_sim
-    measured = f"simulation to px4-quad {to_real} times, the other way {to_sim} times (the paper 1.83, 2.04)"
+    measured = (
+        f"Hummingbird to px4-quad {to_real} times, px4-quad to Hummingbird {to_sim} times "
+        "(in the paper 1.83 and 2.04)"
+    )
     return all(each.low > limit for each in both), any(each.value > limit for each in both), measured
 
 
@@ -209,7 +212,7 @@ def convergence(numbers: Numbers, _: float) -> Judged:
     quicker = max(each.value for each in networks) < min(each.value for each in filters)
     order = sorted(times, key=lambda name: times[name].value)
     shown = ", ".join(f"{TITLES.get(name, name)} {times[name]}" for name in order)
-    return holds, quicker, f"median first time below 2° [s]: {shown}"
+    return holds, quicker, f"median time until the error is below 2° [s]: {shown}"
 
 
 def rare_neurons(numbers: Numbers, limit: float) -> Judged:
@@ -218,7 +221,7 @@ def rare_neurons(numbers: Numbers, limit: float) -> Judged:
     before, after = inside["ablation"]["activity"][0], inside["without_rare"]["error_deg"]
     removed = 1 - inside["without_rare"]["neurons"] / sum(map(len, inside["rates"]))
     lossless = after < limit * before
-    measured = f"{removed:.0%} of the neurons are; error {before:.2f}° with and {after:.2f}° without them"
+    measured = f"{removed:.0%} of the neurons removed; error {before:.2f}° before and {after:.2f}° after"
     return lossless and removed >= 0.125, lossless, measured
 
 
@@ -229,8 +232,8 @@ def gains(numbers: Numbers, _: float) -> Judged:
     slow = no_gyro["slow_gain"] > no_accel["slow_gain"]
     fast = no_accel["fast_gain"] > no_gyro["fast_gain"]
     measured = (
-        f"gain of slow attitude {no_gyro['slow_gain']:.2f} without gyroscope, "
-        f"{no_accel['slow_gain']:.2f} with θ_acc = 0; of fast attitude {no_gyro['fast_gain']:.2f} "
+        f"gain of slow attitude {no_gyro['slow_gain']:.2f} without gyroscope and "
+        f"{no_accel['slow_gain']:.2f} with θ_acc = 0; gain of fast attitude {no_gyro['fast_gain']:.2f} "
         f"and {no_accel['fast_gain']:.2f}"
     )
     return slow and fast, slow or fast, measured
@@ -242,8 +245,8 @@ def formulas(numbers: Numbers, limit: float) -> Judged:
     over = layer["gru"] / layer["snn"]
     dense, sparse = (count["gru"] / count[kind] for kind in ("dense", "sparse"))
     measured = (
-        f"{over:.2f} times by its formulas; all layers and operations counted {dense:.1f} times, "
-        f"without those of silent neurons {sparse:.0f} times"
+        f"{over:.2f} times by its formulas; {dense:.1f} times with all layers and operations counted, "
+        f"{sparse:.0f} times without the operations of silent neurons"
     )
     return over >= limit, False, measured
 
@@ -274,7 +277,7 @@ def minutes(numbers: Numbers, limit: float) -> Judged:
     over = {n: ratio(found[n], found[most], paired=True) for n in (10, 30) if n in found and n < most}
     enough = {n for n, each in over.items() if each.high < limit}
     shown = ", ".join(f"{np.mean(each):.2f}° from {n} min" for n, each in found.items())
-    ratios = ", ".join(f"{n} min over {most} min {each} times" for n, each in over.items())
+    ratios = ", ".join(f"{n} min: {each} times the error with {most} min" for n, each in over.items())
     return 10 in enough, 30 in enough, f"{shown}; {ratios}"
 
 
@@ -289,7 +292,10 @@ def growth(numbers: Numbers, limit: float) -> Judged:
     }
     steady = sum(each < limit for each in over.values())
     shown = ", ".join(f"{name} {each:.2f}" for name, each in over.items())
-    measured = f"{crashes} of {flights} flights crashed; last third over first: {shown}"
+    measured = (
+        f"{crashes} of {flights} flights crashed; "
+        f"ratio of the error in the last third to that in the first: {shown}"
+    )
     return steady == len(scores) and crashes == 0, steady > 0, measured
 
 

@@ -187,7 +187,7 @@ def fig9(numbers: Numbers) -> Figure:
         _note(right, f"{value:.2g}", (value, place), (4, -3), fontsize=8)
     _name_rows(right, [each["operation"] for each in lines])
     right.set_xlim(0, 1.2 * max(energy))
-    right.set(title=f"modelled: {sum(energy):.0f} nJ a step", xlabel="[nJ]")
+    right.set(title=f"modelled: {sum(energy):.0f} nJ per step", xlabel="[nJ]")
     return figure
 
 

@@ -16,10 +16,10 @@ CURVES = {
 }
 """The networks of the paper's Fig. 4, as its published code names them."""
 RESPONSES = {
-    "gyro removed": "gyroscope 0",
-    "accel zero": "accelerometer 0",
-    "accel removed": "accelerometer such that θ_acc = 0",
-    "intact": "untouched",
+    "gyro removed": "gyroscope zero",
+    "accel zero": "accelerometer zero",
+    "accel removed": "accelerometer as in level hover (θ_acc = 0)",
+    "intact": "unchanged",
 }
 """The paper's four inputs of Fig. 8."""
 OWN = {"att-snn, chip": "Att-SNN (Loihi quantisation)"}
@@ -96,7 +96,7 @@ def tuned(numbers: Numbers) -> str:
         each = numbers[f"tune-{name}"]
         values = ", ".join(f"`{key}` {value:.4g}" for key, value in each["values"].items())
         rows.append([name, values, f"{each['rmse_deg']:.2f}"])
-    return markdown_table("filter | tuned values | RMSE on the flights that tuned it [°]", rows)
+    return markdown_table("filter | tuned parameters | RMSE on the tuning flights [°]", rows)
 
 
 def losses(numbers: Numbers) -> str:
@@ -111,8 +111,8 @@ def losses(numbers: Numbers) -> str:
         epochs = len(each["updates"]), best["epoch"] + 1, f"{best['val_error_deg']:.2f}"
         rows.append([title, *epochs, *scatters, spikes, f"{each['seconds'] / 60:.0f}", each["reason"]])
     header = (
-        "network | epochs | the best | validation error [°] | scatter [10⁻³ rad²] | the paper | "
-        "spikes a step, both layers | min | ended because"
+        "network | epochs | best epoch | validation error [°] | scatter [10⁻³ rad²] | scatter in the paper | "
+        "spikes per neuron and step, both layers | duration [min] | reason for the end"
     )
     return markdown_table(header, rows)
 
@@ -128,7 +128,7 @@ def recoveries(numbers: Numbers) -> str:
             cells[2 * k : 2 * k + 2] = [str(median_time(times)), f"{within:.0%}"]
         theirs = "< 1" if name in NETWORKS else "> 7" if name in SIX else "between"
         rows.append([_named(name), *cells, theirs if name in (*SIX, "complementary-adaptive") else "–"])
-    header = "method | in flight [s] | converged | in hover [s] | converged | the paper [s]"
+    header = "method | in flight [s] | share converged | in hover [s] | share converged | the paper [s]"
     return markdown_table(header, rows)
 
 
@@ -145,7 +145,8 @@ def activity(numbers: Numbers) -> str:
         )
         rows.append([layer, f"{rate.mean():.3f}", *(f"{share:.0%}" for share in shares)])
     header = (
-        "layer | spikes per neuron and step | never spike | the paper | below 0.5 % of the steps | the paper"
+        "layer | spikes per neuron and step | neurons that never spike | the paper | "
+        "neurons that spike in less than 0.5 % of the steps | the paper"
     )
     return markdown_table(header, rows)
 
@@ -159,8 +160,8 @@ def manipulations(numbers: Numbers) -> str:
             keys = ("cruise_deg", "error_deg", "slow_gain", "fast_gain")
             rows.append([title, name, *(f"{each[key]:.2f}" for key in keys)])
     header = (
-        "network | inputs | error at constant velocity [°] | in aggressive flight [°] | "
-        "gain below 0.2 Hz | above 1 Hz"
+        "network | readings | error at constant velocity [°] | error in aggressive flight [°] | "
+        "gain below 0.2 Hz | gain above 1 Hz"
     )
     return markdown_table(header, rows)
 
@@ -169,12 +170,12 @@ def counted(numbers: Numbers) -> str:
     """Operations of one update, by the paper's formulas and counted."""
     flops, layer = numbers["inside"]["flops"], operations(100, 100)
     kinds = {
-        "by the paper's formulas, the recurrent layer": (layer["snn"], layer["gru"]),
-        "counted, all layers, zeros too": (flops["dense"], flops["gru"]),
-        "counted, synapses of spikes alone": (flops["sparse"], flops["gru"]),
+        "recurrent layer, by the paper's formulas": (layer["snn"], layer["gru"]),
+        "all layers, counted with zeros": (flops["dense"], flops["gru"]),
+        "all layers, counted for spikes only": (flops["sparse"], flops["gru"]),
     }
     rows = [[kind, f"{snn:.0f}", f"{gru:.0f}", f"{gru / snn:.2f}"] for kind, (snn, gru) in kinds.items()]
-    return markdown_table("operations an update | Att-SNN | Att-RNN | ratio", rows)
+    return markdown_table("operations per update | Att-SNN | Att-RNN | ratio", rows)
 
 
 def loops(numbers: Numbers) -> str:
@@ -187,7 +188,7 @@ def loops(numbers: Numbers) -> str:
             title = name if name == "truth" or name in FILTERS else _named(name)
             rows.append([scenario, title, f"{each['crashes']} of {each['flights']}", error, parts, *tracking])
     header = (
-        "scenario | attitude from | crashed | estimation error [°] | in thirds of the flight [°] | "
-        "attitude tracking [°] | position tracking [m]"
+        "scenario | attitude from | crashed | estimation error [°] | error in each third of the flight [°] | "
+        "attitude tracking error [°] | position tracking error [m]"
     )
     return markdown_table(header, rows)

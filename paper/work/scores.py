@@ -39,7 +39,7 @@ CONVERGED_DEG = 2.0
 RESPONSE_S = 15.0
 RATE_HZ = 200.0
 SHOWN_HZ = 20.0
-"""Samples a second of the responses that are drawn."""
+"""Sample rate of the drawn responses [Hz]."""
 CLOSED = ("hover", "figure-8", "wind-gust")
 """Scenarios of the closed loop."""
 SETTLED_S = 10.0

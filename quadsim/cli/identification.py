@@ -28,7 +28,7 @@ def identify(
         ),
     ] = None,
     rate: Annotated[
-        float, typer.Option(min=110, max=2000, help="Samples per second to which logs are resampled.")
+        float, typer.Option(min=110, max=2000, help="Sample rate of the resampled logs, in Hz.")
     ] = 500.0,
     mount: Mount = None,
     still: Annotated[

@@ -24,8 +24,8 @@ def train(
     data: Annotated[
         list[Path] | None,
         typer.Option(
-            help="Dataset to train on; repeat the option to mix several. Controllers take none; att-snn "
-            "makes its own flights if there is none."
+            help="Dataset to train on; repeat the option to mix several. Controllers need none; att-snn "
+            "generates its own flights if none is given."
         ),
     ] = None,
     model: Annotated[
@@ -34,15 +34,15 @@ def train(
     preset: Annotated[
         str,
         typer.Option(
-            help="att-snn: a circuit like the one that ships, for any IMU. tune: continues it on your logs. "
-            "paper: the paper's network of layers. control-attitude: a controller. Or a TOML file."
+            help="att-snn: a circuit like the one that ships, for any IMU. tune: trains it further on your "
+            "logs. paper: the paper's network of layers. control-attitude: a controller. Or a TOML file."
         ),
     ] = "att-snn",
     validation: Annotated[
         list[Path] | None,
         typer.Option(
-            help="Dataset that selects the best epoch; default: a part of --data. A circuit takes its last "
-            "weights, and reports the error."
+            help="Dataset that selects the best epoch; default: a part of --data. A circuit keeps its last "
+            "weights; the dataset only shows its error."
         ),
     ] = None,
     epochs: Annotated[
@@ -52,7 +52,8 @@ def train(
         list[str] | None,
         typer.Option(
             "--set",
-            help="Any other setting, as name=value or table.name=value. An unknown name prints the list.",
+            help="Any other setting, as name=value or table.name=value. For an unknown name, the list is "
+            "printed.",
         ),
     ] = None,
     seed: LearningSeed = 0,
@@ -124,7 +125,7 @@ def tune(
     ] = "unknown",
     search: Annotated[
         Literal["swarm", "evolution"],
-        typer.Option(help="swarm: the paper's. evolution: scipy's differential evolution."),
+        typer.Option(help="swarm: the paper's particle swarm. evolution: SciPy's differential evolution."),
     ] = "swarm",
     seed: LearningSeed = 0,
 ) -> None:

@@ -20,7 +20,7 @@ def report(
     ],
     out: Annotated[
         Path | None,
-        typer.Option(help="Of a benchmark: HTML file; default: PATH/report.html. Of a dataset: picture."),
+        typer.Option(help="For a benchmark: HTML file; default: PATH/report.html. For a dataset: PNG file."),
     ] = None,
     verify: Annotated[
         bool, typer.Option("--verify", help="For a dataset: compare every file with its digest.")

@@ -13,7 +13,7 @@ from .options import Force, Mount, Seed, Workers
 def evaluate(
     data: Annotated[
         Path | None,
-        typer.Option(help="Dataset to score on; use flights that nothing was trained or tuned on."),
+        typer.Option(help="Dataset to score on; use flights that were not used for training or tuning."),
     ] = None,
     logs: Annotated[
         list[Path] | None, typer.Option(help="Real log, instead of --data; repeat the option to add more.")

@@ -111,7 +111,7 @@ def identify(flights: Sequence[Flight], start: Vehicle) -> Identified:
     fits = [_table(start, names, x[: len(names)] * scale, half * scale), *_lags(flights, start)]
     constants = pd.concat(fits).reindex([path for path in UNITS if any(path in fit.index for fit in fits)])
     missing += [
-        f"{path}: {_told(row)}, so it stays {row['start']:.4g}"
+        f"{path}: {_undetermined(row)}, so it stays {row['start']:.4g}"
         for path, row in constants.to_dict("index").items()
         if not row["identified"]
     ]
@@ -157,14 +157,14 @@ def _table(start: Vehicle, names: Sequence[str], fitted: Array, half_width: Arra
     return table.assign(identified=table.half_width <= SURE * table.fitted.abs())
 
 
-def _told(row: dict[Hashable, Any]) -> str:
+def _undetermined(row: dict[Hashable, Any]) -> str:
     if np.isinf(row["half_width"]):
-        return "these flights do not tell it"
-    return f"{row['fitted']:.3g} ± {row['half_width']:.2g} {row['unit']} is not told well enough"
+        return "these flights do not determine it"
+    return f"{row['fitted']:.3g} ± {row['half_width']:.2g} {row['unit']} is not determined well enough"
 
 
 def _half_widths(jacobian: Array, residuals: Array, rows: int) -> Array:
-    """Half of the 95 % interval of each parameter; infinite where nothing tells it, alone or from others.
+    """Half of the 95 % interval of each parameter; infinite if the data do not determine it.
 
     Errors of neighbouring samples may be correlated: the covariance is the sandwich of sums over blocks
     (Liang & Zeger 1986).
@@ -177,13 +177,13 @@ def _half_widths(jacobian: Array, residuals: Array, rows: int) -> Array:
     length = np.linalg.norm(jacobian, axis=0)
     unit = jacobian / np.where(length > 0.0, length, 1.0)
     values, vectors = np.linalg.eigh(unit.T @ unit)
-    told = values > DEGENERATE * values.max()
-    inverse = (vectors[:, told] / values[told]) @ vectors[:, told].T
+    observable = values > DEGENERATE * values.max()
+    inverse = (vectors[:, observable] / values[observable]) @ vectors[:, observable].T
     starts = np.arange(0, len(residuals), rows)
     scores = np.add.reduceat(unit * residuals[:, None], starts, axis=0)
     variance = np.diag(inverse @ (scores.T @ scores) @ inverse)
     half = norm.ppf(0.975) * np.sqrt(variance) / np.where(length > 0.0, length, 1.0)
-    blind = (length == 0.0) | (np.abs(vectors[:, ~told]) > 1e-3).any(axis=1)
+    blind = (length == 0.0) | (np.abs(vectors[:, ~observable]) > 1e-3).any(axis=1)
     return np.where(blind, np.inf, half)
 
 

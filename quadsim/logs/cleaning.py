@@ -43,7 +43,7 @@ def longest_part(log: Recording) -> tuple[Recording, dict[str, int]]:
     time, period = log.time, float(np.median(np.diff(log.time)))
     if not RATES_HZ[0] <= 1.0 / period <= RATES_HZ[1]:
         raise ValueError(
-            f"{log.name}: {1.0 / period:.3g} samples a second; {RATES_HZ[0]:g} to {RATES_HZ[1]:g} are "
+            f"{log.name}: {1.0 / period:.3g} samples per second; {RATES_HZ[0]:g} to {RATES_HZ[1]:g} are "
             f"allowed: {_unit_of_stamps(period)}"
         )
     if time[-1] - time[0] > CLEAN.sparse * period * time.size:

@@ -98,7 +98,10 @@ class Experiment(Strict):
         found = self._cases(scenarios)
         if self.given is None:
             return found
-        return {name: case._replace(scenario=told(case.scenario, self.given)) for name, case in found.items()}
+        return {
+            name: case._replace(scenario=given_only(case.scenario, self.given))
+            for name, case in found.items()
+        }
 
     def _cases(self, scenarios: Sequence[str | Path] | None) -> "dict[str, Case]":
         if self.held_out:
@@ -181,7 +184,7 @@ def of_release(experiment: Experiment, release: str) -> Experiment:
     return experiment.model_copy(update={"release": release, "seeds": suite.flights, "seed": suite.seed})
 
 
-def told(scenario: Scenario, given: Sequence[Knowledge]) -> Scenario:
+def given_only(scenario: Scenario, given: Sequence[Knowledge]) -> Scenario:
     """A scenario in which estimators are given these things and nothing else."""
     start = scenario.start.model_copy(update={"known_attitude": "initial attitude" in given})
     return scenario.model_copy(update={"vehicle_known": "airframe" in given, "start": start})

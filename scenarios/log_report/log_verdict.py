@@ -45,7 +45,7 @@ def log_verdict(scores: LogScores) -> LogVerdict:
     seconds = sum(scores.logs[log].counted_s for log in logs)
     lines = [
         f"{len(logs)} log{'s' if len(logs) > 1 else ''}, {seconds:.0f} s scored, from an unknown attitude, "
-        f"with the gyroscope as it reads. A level guess makes {level:.2f}°.",
+        f"with the gyroscope as recorded. A level guess has an error of {level:.2f}°.",
         *([scores.tuning] if scores.tuning else []),
     ]
     for part in (_failing, _by_log, _bias, _believed):
@@ -61,7 +61,7 @@ def _headline(scores: LogScores, level: float) -> str:
     error = scores.mean(best, RAW)
     over = ", over the logs without a fault" if scores.faulty else ""
     if logs == scores.faulty:
-        over = f", but {'the log has' if len(logs) == 1 else 'all logs have'} a fault of a sensor"
+        over = f", but {'the log has' if len(logs) == 1 else 'all logs have'} a sensor fault"
     if error > CLEAR * level:
         text = f"No estimator is much better than a level guess ({level:.2f}°){over}"
         return f"{text}; the best is {best}, {error:.2f}°."
@@ -87,10 +87,10 @@ def _failing(scores: LogScores) -> Iterator[str]:
     faulty = scores.faulty
     if faulty and scores.headline == faulty:
         where = "the log" if len(faulty) == 1 else "every log"
-        yield f"A fault of a sensor begins in {where}: no error here is that of a sound sensor."
+        yield f"A sensor fault begins in {where}: no error here is that of an intact sensor."
     elif faulty:
         count = f"{len(faulty)} of {len(scores.scored)} logs {'has' if len(faulty) == 1 else 'have'}"
-        yield f"{count} a fault of a sensor: means and headline are without {', '.join(faulty)}."
+        yield f"{count} a sensor fault: means and headline exclude {', '.join(faulty)}."
     on_log = scores.on_logs().reindex(scores.ranked)
     kinds = set()
     for name, log in scores.logs.items():
@@ -115,8 +115,8 @@ def _by_log(scores: LogScores) -> Iterator[str]:
     if first < len(logs):
         worst = (errors.loc[best] / errors.min()).idxmax()
         value, name = errors[worst].min(), errors[worst].idxmin()
-        text += f"; it is furthest behind on {worst}: {errors.at[best, worst]:.2f}° where {name} makes "
-        text += f"{value:.2f}°"
+        text += f"; it is furthest behind on {worst}, with {errors.at[best, worst]:.2f}° "
+        text += f"against {value:.2f}° of {name}"
     yield f"{text}."
 
 
@@ -127,7 +127,7 @@ def _bias(scores: LogScores) -> Iterator[str]:
     known = [log.bias.significant for log in sound if log.bias and np.isfinite(log.bias.mean).all()]
     largest = float(np.abs(known).max(initial=0.0))
     if known and largest == 0.0:
-        yield "No gyroscope bias differs significantly from zero: nothing is removed."
+        yield "No gyroscope bias differs significantly from zero, so nothing is removed."
     if largest < LARGE_BIAS:
         return
     errors = {name: (scores.mean(name, RAW), scores.mean(name, KNOWN)) for name in scores.ranked}
@@ -136,9 +136,9 @@ def _bias(scores: LogScores) -> Iterator[str]:
         for name, (raw, without) in errors.items()
         if without < GAINED * raw
     ]
-    text = f"The gyroscope reads up to {math.degrees(largest):.1f} °/s at rest"
+    text = f"The gyroscope has a bias of up to {math.degrees(largest):.1f} °/s"
     if losing:
-        text += f", which these estimators do not find in time: {', '.join(losing)}. Calibrate it: "
+        text += f", which these estimators do not correct in time: {', '.join(losing)}. Calibrate it: "
         text += "`quadsim identify --still`"
     yield f"{text}."
 
@@ -155,9 +155,9 @@ def _compared(scores: LogScores, log: str) -> Iterator[str]:
     low, high = min(found.force.values()), max(found.force.values())
     chosen = ", ".join(found.favoured) or f"no estimator: {found.undecided}"
     yield (
-        f"{log}: turned to the world and averaged over 10 s, the horizontal force is {low:.2f} m/s² "
-        f"to {high:.2f} m/s² (RMS), of a level guess {found.level_force:.2f} m/s². It is near zero for a "
-        f"right attitude, and for a level guess where the vehicle stays level: it favours {chosen}."
+        f"{log}: rotated to the world and averaged over 10 s, the horizontal force is {low:.2f} m/s² "
+        f"to {high:.2f} m/s² (RMS), {found.level_force:.2f} m/s² for a level guess. It is near zero for a "
+        f"correct attitude, and for a level guess if the vehicle stays level. It favours {chosen}."
     )
 
 
@@ -176,4 +176,4 @@ def _believed(scores: LogScores) -> Iterator[str]:
             covered, sigmas, errors = np.array(honest).T
             rmse = float(np.sqrt(np.nanmean(errors**2)))
             inside = Coverage(float(np.nanmean(covered)), float(np.nanmedian(sigmas)), rmse).text
-        yield f"{name} believed, in share of the time: {shown}; {inside}."
+        yield f"Mean model probabilities of {name}: {shown}; {inside}."

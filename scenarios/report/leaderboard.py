@@ -13,19 +13,22 @@ from matplotlib.figure import Figure
 
 from estimators.appearance import looks
 from estimators.metrics import Summary
+from quadsim.config.toml import preset_names
 from quadsim.runs.files import write_whole
 
 from ..bench.ranking import ranked
 from ..task.entry import FILE, Entry, load_entry
+from ..task.specification import load_task
 from .page import script
 from .template import render
 
 ERROR = "error_deg"
 FOOTER = (
-    "Rank: flights survived first, then the later crash, then the error on flights that all of as many "
-    "survived. Better than the leader: the share of flights, averaged over scenarios, in which the error is "
-    "smaller than the leader's on the same flight; a crash is worse than any error, and equal flights count "
-    "half. Intervals are 95 %: Wilson's of crashes, the bootstrap's over scenarios, flights or trials "
+    "Entries are ranked by the number of flights without a crash, then by the time to the crash, then by "
+    "the error on the flights that all entries with as many survived flights completed. 'Better than the "
+    "leader' is the share of flights, averaged over scenarios, in which the error is smaller than the "
+    "leader's on the same flight; a crash is worse than any error, and equal flights count half. All "
+    "intervals are 95 % intervals: Wilson's for crashes, the bootstrap's over scenarios, flights or trials "
     "elsewhere."
 )
 
@@ -135,7 +138,7 @@ def _track(track: str, entries: Sequence[Entry], flights: pd.DataFrame) -> dict[
             low, high = better.mean_interval()
             shares = f"{100 * better.mean:.0f} % ({100 * low:.0f}–{100 * high:.0f})"
             cells["better than the leader"] = Cell(shares, better.mean)
-        cells |= _part_cells(entry) | _cost_cells(entry)
+        cells |= _part_cells(entry, _titles(entry.version)) | _cost_cells(entry)
         why = f"not ranked: it {entry.reasons[0]}" if entry.reasons else ""
         rows.append({"entry": entry, "cells": cells, "why": why})
     headings = list(dict.fromkeys(heading for row in rows for heading in row["cells"]))
@@ -145,22 +148,30 @@ def _track(track: str, entries: Sequence[Entry], flights: pd.DataFrame) -> dict[
 def _loop_cells(entry: Entry) -> dict[str, Cell]:
     loop = entry.loop
     if loop is None:
-        return {"crashed": Cell("–", None), "error [°]": Cell("–", None)}
+        return {"crashed": Cell("–", None), "error in closed loop [°]": Cell("–", None)}
     low, high = 100 * loop.crash_low, 100 * loop.crash_high
     crashed = f"{loop.crashes} of {len(loop.flights)} ({low:.1f}–{high:.1f} %)"
     share = loop.crashes / len(loop.flights) if loop.flights else None
     error = Cell("–", None)
     if loop.error_deg is not None:
         error = Cell(f"{loop.error_deg:.2f} ({loop.low:.2f}–{loop.high:.2f})", loop.error_deg)
-    return {"crashed": Cell(crashed, share), "error [°]": error}
+    return {"crashed": Cell(crashed, share), "error in closed loop [°]": error}
 
 
-def _part_cells(entry: Entry) -> dict[str, Cell]:
+def _titles(version: str) -> dict[str, str]:
+    """Titles of the parts of a shipped task; a user's own task has the names of its parts."""
+    if version not in preset_names("tasks"):
+        return {}
+    return {name: part.title for name, part in load_task(version).parts.items()}
+
+
+def _part_cells(entry: Entry, titles: Mapping[str, str]) -> dict[str, Cell]:
     cells = {}
     for name, part in entry.parts.items():
-        cells[f"{name} [°]"] = Cell("–", None, part.note)
+        heading = f"{titles.get(name, name)} [°]"
+        cells[heading] = Cell("–", None, part.note)
         if part.mean is not None:
-            cells[f"{name} [°]"] = Cell(f"{part.mean:.2f} ({part.low:.2f}–{part.high:.2f})", part.mean)
+            cells[heading] = Cell(f"{part.mean:.2f} ({part.low:.2f}–{part.high:.2f})", part.mean)
     return cells
 
 
@@ -204,8 +215,8 @@ def fronts(entries: Sequence[Entry]) -> Figure:
     shown = [each for each in entries if not each.reasons and each.loop and each.cost]
     drawn = looks([each.card.name for each in shown])
     panels: Mapping[str, Any] = {
-        "modelled energy a sample [nJ]": lambda cost: cost.nanojoules,
-        "time a sample in Python [µs]": lambda cost: cost.ns / 1e3,
+        "modelled energy per sample [nJ]": lambda cost: cost.nanojoules,
+        "time per sample in Python [µs]": lambda cost: cost.ns / 1e3,
     }
     for axes, (label, of) in zip(figure.subplots(1, 2), panels.items(), strict=True):
         found = [(of(each.cost), each.loop and each.loop.error_deg, each.card.name) for each in shown]

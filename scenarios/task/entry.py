@@ -47,7 +47,7 @@ class Card(Strict):
     parameter_count: Count
     """Numbers that were learnt or tuned: a class says `parameter_count`, else those that it declares."""
     operations: Size | None
-    """Of a sample, as a class says in `operations`; else they are counted, where its source is Python."""
+    """Operations per sample: stated by the class in `operations`, or else counted in its Python source."""
     packages: dict[str, str]
     """Installed packages that its file imports, and their versions."""
 

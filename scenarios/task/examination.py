@@ -71,7 +71,7 @@ def examine(task: Task, card: Card, folder: Path, flights: Flights) -> Examined:
                 reasons.append("received the true attitude")
             cost = cost_of(card, made, flights)
             if cost.ns > task.most_ms * 1e6:
-                raise ValueError(f"{cost.ns / 1e6:.3g} ms a sample; {task.most_ms:g} ms are allowed")
+                raise ValueError(f"{cost.ns / 1e6:.3g} ms per sample; {task.most_ms:g} ms are allowed")
             check_estimator(card.source, card.rate_hz, accurate=False)
             passed = True
     except ValueError as error:

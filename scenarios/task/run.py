@@ -184,7 +184,7 @@ def _errors(task: Task, card: Card, group: Group, data: Path, flaws: list[str]) 
     others = {name: value for name, value in flights.readings.others.items() if name in card.given}
     readings = flights.readings._replace(**dict.fromkeys(flights.readings.others))._replace(**others)
     allowed_s = flights.truth[..., 0].size * task.most_ms / 1e3
-    late = f"took more than {task.most_ms:g} ms a sample"
+    late = f"took more than {task.most_ms:g} ms per sample"
     with watching(data) as opened, deadline(LONGEST * max(allowed_s, 6.0), late):
         vehicle = group.vehicle if "airframe" in card.given else None
         made = create(card.source, card.rate_hz, vehicle=vehicle)

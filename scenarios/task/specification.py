@@ -78,7 +78,7 @@ class Task(Strict):
     rate_hz: SampleRate
     """Samples per second of everything."""
     most_ms: Annotated[float, Between(1e-3, 1e4, "ms")]
-    """Time that an entry may take for a sample of one vehicle [ms]."""
+    """Time limit per sample of one vehicle [ms]."""
     parts: dict[str, Annotated[Simulated | Foreign | Recorded, Field(discriminator="source")]]
     """What estimators run on without a loop, by name."""
     metrics: dict[str, str]

@@ -109,7 +109,7 @@ def test_learning_the_gyroscopes_bias_takes_most_of_its_error_away(name):
 
 
 def test_a_quarter_turn_of_the_body_turns_the_estimate():
-    p = untrained(6, 16, seed=3, spread=1.0)
+    p = untrained(6, 16, seed=3, weight_noise=1.0)
     gyro, accel = samples(1, 200, 0, 3.0, 4.0)
     quarter = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
     straight = circuit_estimator("att-rnn", p).outputs(gyro, accel)
@@ -158,10 +158,10 @@ class PlainCircuit:
         self.waiting, self.t = np.zeros((2, 3), int), 0
 
     def encoders(self, inputs):
-        told = inputs.reshape(2, 3) - np.array([64 * self.b_spikes, 0 * self.b_spikes])
+        unbiased = inputs.reshape(2, 3) - np.array([64 * self.b_spikes, 0 * self.b_spikes])
         n = np.zeros((2, 3), int)
         for k, (units, most) in enumerate(((128, 121), (256, 40))):
-            self.waiting[k] += told[k]
+            self.waiting[k] += unbiased[k]
             n[k] = np.clip(np.floor((self.waiting[k] + units // 2) / units), -most, most)
             self.waiting[k] = np.clip(self.waiting[k] - units * n[k], -(2**14), 2**14)
         return n
@@ -229,7 +229,7 @@ class PlainCircuit:
 
 @pytest.mark.parametrize("steps", [1, 2, 4])
 def test_the_kernel_is_the_circuit_neuron_by_neuron(steps):
-    p = untrained(5, 11, seed=1, spread=3.0)
+    p = untrained(5, 11, seed=1, weight_noise=3.0)
     p = p._replace(scale=np.array([1.2, 1.1, 0.5, 2.0, 0.9]), resume=np.linspace(-0.5, 1.5, 11))
     circuit = quantised(p, steps)
     est = NetworkEstimator(SpikingCircuit(SCALING, circuit, 1, steps, p.scale[1]), RATE_HZ)
@@ -261,7 +261,7 @@ def test_the_kernel_is_the_circuit_neuron_by_neuron(steps):
 
 
 def test_weights_are_ones_that_the_chip_has():
-    circuit = quantised(untrained(6, 16, seed=2, spread=5.0), 4)
+    circuit = quantised(untrained(6, 16, seed=2, weight_noise=5.0), 4)
     for name in ("mix", "pull", "give", "take", "read", "gate"):
         size = np.abs(getattr(circuit, name).astype(np.int64))
         size = size[size >= 128]
@@ -352,7 +352,7 @@ def test_a_resting_imu_stays_level():
 
 
 def test_a_file_is_read_back_and_the_same_bytes(tmp_path):
-    p = untrained(5, 9, seed=4, spread=1.0)
+    p = untrained(5, 9, seed=4, weight_noise=1.0)
     config = CircuitConfig(vectors=5, gates=9, training={"seed": 4})
     for k in range(3):
         save_circuit(tmp_path / f"{k}.safetensors", config, p)
@@ -398,7 +398,7 @@ def test_other_files_are_refused_in_one_line(tmp_path):
 
 
 def plain_floats(p: Parameters, gyro, accel, again):
-    """The equations of `estimators.circuit.parameters`, an Euler step a sample, in float64."""
+    """The equations of `estimators.circuit.parameters`, an Euler step per sample, in float64."""
     dt, v = 1 / RATE_HZ, len(p.start)
     axes = [0, 0, 1]
     x, b, u, smooth = np.zeros((v, 3)), np.zeros(3), p.onset.copy(), np.zeros((3, 3))
@@ -430,7 +430,7 @@ def plain_floats(p: Parameters, gyro, accel, again):
 
 @pytest.mark.parametrize("faster", [1, 300])
 def test_floats_are_the_equations(faster):
-    p = untrained(5, 11, seed=2, spread=3.0)
+    p = untrained(5, 11, seed=2, weight_noise=3.0)
     p = p._replace(learn=faster * p.learn, resume=np.linspace(-0.5, 1.5, 11))
     gyro, accel = samples(2, 300, 3, 3.0, 4.0)
     again = np.arange(300)[:, None] == [100, 200]

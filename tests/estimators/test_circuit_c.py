@@ -28,7 +28,7 @@ def readings(seed):
 
 def circuit(seed=0):
     """Parameters whose gates all open at times and whose bias learns fast."""
-    p = untrained(VECTORS, GATES, seed, spread=1.0)
+    p = untrained(VECTORS, GATES, seed, weight_noise=1.0)
     return p._replace(
         gate=p.gate + 0.2,
         resume=np.linspace(-0.5, 1.5, GATES),

@@ -270,7 +270,7 @@ def test_a_log_without_truth_is_compared_and_no_estimator_is_crowned(tmp_path):
     assert "not a finite number" in found.flaws["broken"]
     verdict = log_verdict(scores)
     assert verdict.headline == "No true attitude, no errors; the mean force favours without, same."
-    assert any("It is near zero for a right attitude" in line for line in verdict.lines)
+    assert any("It is near zero for a correct attitude" in line for line in verdict.lines)
     assert "horizontal force" in write_log_report(tmp_path / "r.html", scores).read_text()
 
 
@@ -281,7 +281,7 @@ def test_a_constant_is_not_compared_however_small_its_force_is():
     found = scores.compared["noisy"]
     assert "the same roll and pitch" in found.flaws["zero"]
     assert "zero" not in found.force
-    assert f"of a level guess {found.level_force:.2f} m/s²" in " ".join(log_verdict(scores).lines)
+    assert f"{found.level_force:.2f} m/s² for a level guess" in " ".join(log_verdict(scores).lines)
 
 
 def test_a_force_as_small_as_that_of_a_level_guess_favours_nobody():
@@ -315,7 +315,7 @@ def test_what_imm_believes_of_a_log_without_truth_has_its_sigma(tmp_path):
     log = biased_start(0.0, 20.0)
     scores = score_logs([log], {"imm": create("imm")})
     assert any(
-        re.search(r"imm believed.*its σ is \d+\.\d° in the median", line)
+        re.search(r"Mean model probabilities of imm.*its σ is \d+\.\d° in the median", line)
         for line in log_verdict(scores).lines
     )
     assert "sigma|imm, roll" in write_log_report(tmp_path / "r.html", scores).read_text()

@@ -1,4 +1,4 @@
-"""A vehicle's constants come back from its flights, and what flights do not tell is named."""
+"""A vehicle's constants come back from its flights, and constants that flights do not determine are named."""
 
 import numpy as np
 import pytest
@@ -75,7 +75,7 @@ def test_what_nothing_excites_is_not_identified(flights):
     met = short.rotor_vel.mean(0) + 0 * short.rotor_vel
     found = identify([short._replace(rotor_vel=met, rotor_vel_cmd=met)], TRUE)
     assert {"motor.tau_up", "motor.tau_down"} <= unsure(found)
-    assert any(line.startswith("motor.tau_up: these flights do not tell it") for line in found.missing)
+    assert any(line.startswith("motor.tau_up: these flights do not determine it") for line in found.missing)
     assert found.vehicle.motor.tau_up == TRUE.motor.tau_up
 
 

@@ -166,6 +166,6 @@ def test_repeated_and_backward_stamps_are_left_out_and_rows_out_of_order_are_ref
     ],
 )
 def test_rates_of_no_imu_are_one_line_and_the_unit_of_the_stamps_is_named(rate_hz, hint):
-    with pytest.raises(ValueError, match=hint or "samples a second; 40 to 10000 are allowed") as refused:
+    with pytest.raises(ValueError, match=hint or "samples per second; 40 to 10000 are allowed") as refused:
         report_of(turned(time=np.arange(4000) / rate_hz))
     assert "\n" not in str(refused.value)

@@ -51,7 +51,7 @@ def test_verdict_names_the_best_the_bias_and_what_is_believed(scored):
     text = " ".join(found.lines)
     assert found.headline.startswith("Smallest error: ")
     assert re.search(r"2 logs, \d+ s scored", text)
-    assert "reads up to 3.0 °/s at rest" in text
+    assert "has a bias of up to 3.0 °/s" in text
     assert "quadsim identify --still" in text
     assert "hand 75%, drag 25%" in text
 
@@ -82,7 +82,7 @@ def test_means_and_headline_are_without_faulty_logs(scored, kind):
     found, best = log_verdict(scores), min(alone, key=lambda name: alone[name])
     smallest = f"{best}, {alone[best]:.2f}° inclination RMSE"
     assert found.headline == f"Smallest error: {smallest}, over the logs without a fault."
-    assert "1 of 2 logs has a fault of a sensor: means and headline are without biased." in found.lines
+    assert "1 of 2 logs has a sensor fault: means and headline exclude biased." in found.lines
     (said,) = [line for line in found.lines if FAULTS[kind].sentence in line]
     smallest = on_log["biased"].drop("level").min()
     assert f"The smallest error on it is {smallest:.2f}°" in said
@@ -96,8 +96,8 @@ def test_a_sensor_that_fails_is_not_to_be_calibrated(scored):
     assert not any("Calibrate it" in line for line in faulty.lines)
     assert any("Calibration does not cure a bias that jumps" in line for line in faulty.lines)
     assert not any("does not cure" in line for line in sound.lines)
-    assert faulty.headline.endswith("but all logs have a fault of a sensor.")
-    assert any(line.startswith("A fault of a sensor begins in every log") for line in faulty.lines)
+    assert faulty.headline.endswith("but all logs have a sensor fault.")
+    assert any(line.startswith("A sensor fault begins in every log") for line in faulty.lines)
 
 
 def test_the_faults_of_a_recording_are_those_of_its_scores_and_table(tmp_path):

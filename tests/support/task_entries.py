@@ -80,7 +80,7 @@ BAD = [
     (
         "Slow",
         ("gyro = np", "import time; time.sleep(0.003)\n        gyro = np"),
-        "ms a sample; 2 ms are allowed",
+        "ms per sample; 2 ms are allowed",
     ),
     (
         "Constant",

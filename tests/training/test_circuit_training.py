@@ -28,7 +28,7 @@ def batch(seed=0, steps=200, n=6):
 @pytest.mark.parametrize("name", LEARNT)
 def test_the_gradient_is_the_slope_of_the_loss_along_any_direction(name):
     rng = np.random.default_rng(1)
-    p = untrained(5, 10, seed=1, spread=2.0)
+    p = untrained(5, 10, seed=1, weight_noise=2.0)
     # gates that depend on nothing and are between shut and open, where the gradient is exact
     p = p._replace(gate=0 * p.gate, level=rng.uniform(0.3, 0.7, 10))
     p = p._replace(onset=0 * p.onset, resume=0 * p.resume)

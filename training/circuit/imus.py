@@ -48,7 +48,7 @@ def draw_imu(worst: ImuSpec, calibrated: bool, rng: np.random.Generator) -> ImuS
     dropped = (rng.random() < LOSE) * rng.random() * worst.dropped
     vibration, size = worst.vibration, NOISE ** -rng.random()
     if vibration is not None:
-        shaken = {name: tuple(size * np.array(getattr(vibration, name))) for name in ("gyro", "accel")}
-        vibration = vibration.model_copy(update=shaken) if rng.random() < VIBRATE else None
+        scaled = {name: tuple(size * np.array(getattr(vibration, name))) for name in ("gyro", "accel")}
+        vibration = vibration.model_copy(update=scaled) if rng.random() < VIBRATE else None
     others = {"mounting_deg": tuple(mounting), "lever_arm": tuple(arm), "dropped": dropped}
     return worst.model_copy(update=sensors | others | {"vibration": vibration})
