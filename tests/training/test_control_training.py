@@ -109,10 +109,21 @@ def test_excitation_is_within_its_limits():
     assert 0.8 < np.abs(target["yaw_rate"]).max() <= 1.0
 
 
+def test_the_set_points_of_flights_are_excited(calm):
+    still = fly(calm, seeds(3), 4.0, excitation=STILL)["set_point"][..., :3]
+    assert np.abs(still).max() < 1e-3
+    for name, size, axis in (("step_deg", 10.0, 0), ("chirp_deg", 10.0, 1), ("yaw_rate", 1.0, 2)):
+        excited = fly(calm, seeds(3), 4.0, excitation=STILL._replace(**{name: size}))["set_point"]
+        assert np.abs(excited[..., axis]).max() > 0.01
+
+
 def test_windows_follow_one_another_within_a_stream_and_a_flight(recipe):
     flights = fly(recipe, seeds(3), 1.0)
-    before, *others = first_windows(flights, make_config(**TINY | {"batches": 6}))
+    before, *others = batches = list(first_windows(flights, make_config(**TINY | {"batches": 6})))
     assert before.reset.all()
+    firsts = np.concatenate([each.gyro[each.reset, 0] for each in batches])
+    at_start = (firsts[:, None] == flights["gyro"][:, 0]).all(-1).any(-1)
+    assert 0.2 < at_start.mean() < 0.8
     for now in others:
         for i in np.flatnonzero(~now.reset):
             row, place = np.argwhere((flights["gyro"] == before.gyro[i, -1]).all(-1))[0]
