@@ -94,6 +94,8 @@ def test_who_flies_does_not_change_what_is_taught(calm):
     last = flights[np.arange(3), end - 1]
     assert (np.abs(last["target"]).max(axis=1) > 50.0).all()
     assert last["accel"][:, 2] / GRAVITY == pytest.approx(np.cos(np.radians(80.0)), abs=0.1)
+    put_back = flights["accel"][np.arange(3), end + 2, 2]
+    assert put_back == pytest.approx(GRAVITY, rel=0.01)
     by_teacher = fly(calm, seeds(3), 6.0, Idle(), teacher_share=1.0, excitation=STILL)
     assert np.array_equal(by_teacher, fly(calm, seeds(3), 6.0, excitation=STILL))
 
