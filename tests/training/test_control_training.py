@@ -196,7 +196,7 @@ def test_a_run_that_was_stopped_ends_with_the_same_weights_which_fly(recipe, tmp
     controller = create_controller(whole.weights)
     flights = fly(recipe, seeds(2), 1.0, controller)
     assert np.linalg.norm(flights["accel"], axis=-1) == pytest.approx(GRAVITY, rel=1e-5)
-    assert load_network(whole.weights)[0].training["training_flights"] == 5
+    assert load_network(whole.weights)[0].training["training_flights"] == (3, 5)[whole.best.epoch]
 
 
 @pytest.mark.parametrize("size", [0, 1, 700])
