@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -163,22 +163,48 @@ class Batch(NamedTuple):
     """Of a controller, (n, T, 4)."""
 
 
+Draw = Callable[[int, int, np.random.Generator], tuple[NDArray, ...]]
+"""Called as draw(n, length, rng): parts of n flights, what `Batch` has but for `reset`, (n, length, ·)."""
+
+
 def windows(
     flights: TrainingFlights, config: TrainConfig, steps: int, seed: Sequence[int]
+) -> Iterator[Batch]:
+    """The windows of an epoch, see `windows_of`; the IMU is drawn once per stream, noise per sample."""
+
+    def draw(n: int, length: int, rng: np.random.Generator) -> tuple[NDArray, ...]:
+        rows = rng.integers(len(flights), size=n)[:, None]
+        first = rng.integers(flights.gyro.shape[1] - length + 1, size=n)
+        index = rows, first[:, None] + np.arange(length)
+        rate, force, up = flights.ang_vel[index], flights.specific_force[index], flights.up[index]
+        if config.yaw_symmetry:
+            rate, force, up = turned_and_mirrored(rate, force, up, rng)
+        gyro, accel = measured(config.imu, rate, force, flights.rate_hz, rng)
+        return gyro, accel, roll_pitch_of_up(up).astype(np.float32)
+
+    return windows_of(draw, flights.gyro.shape[1], config, steps, seed)
+
+
+def windows_of(
+    draw: Draw, longest: int, config: TrainConfig, steps: int, seed: Sequence[int]
 ) -> Iterator[Batch]:
     """The windows of an epoch: streams start anywhere in any flight, and each is cut into successive windows.
 
     Streams differ in length, from one window to `windows_per_stream`, log-uniform: every batch has some that
     have just begun and some that have long settled.
 
-    `windows_per_stream` is less where the flights are shorter; the IMU is drawn once per stream, noise per
-    sample. A window has `steps` samples; `seed` is that of the epoch.
+    Args:
+        draw: Draws streams.
+        longest: Samples of the longest flight; `windows_per_stream` is less where it is shorter.
+        config: Of the run.
+        steps: Samples of a window.
+        seed: Of the epoch.
     """
-    most = min(config.windows_per_stream, flights.gyro.shape[1] // steps)
+    most = min(config.windows_per_stream, longest // steps)
     sizes = [len(part) for part in np.array_split(np.arange(config.batch_size), COHORTS) if len(part)]
     seeds = np.random.SeedSequence(list(seed)).spawn(len(sizes))
     cohorts = [
-        _streams(flights, config, n, steps, most, np.random.default_rng(each))
+        _streams(draw, n, steps, most, np.random.default_rng(each))
         for n, each in zip(sizes, seeds, strict=True)
     ]
     for _ in range(config.batches):
@@ -187,23 +213,15 @@ def windows(
 
 
 def _streams(
-    flights: TrainingFlights, config: TrainConfig, n: int, steps: int, most: int, rng: np.random.Generator
+    draw: Draw, n: int, steps: int, most: int, rng: np.random.Generator
 ) -> Iterator[tuple[NDArray, ...]]:
-    """Windows of `n` streams of one length, then of `n` others: gyro, accel, roll and pitch, reset."""
+    """Windows of `n` streams of one length, then of `n` others, in the order of `Batch`."""
     while True:
         length = int(np.exp(rng.uniform(0, np.log(most + 1)))) * steps
-        rows = rng.integers(len(flights), size=n)[:, None]
-        first = rng.integers(flights.gyro.shape[1] - length + 1, size=n)
-        index = rows, first[:, None] + np.arange(length)
-        rate, force, up = flights.ang_vel[index], flights.specific_force[index], flights.up[index]
-        if config.yaw_symmetry:
-            rate, force, up = turned_and_mirrored(rate, force, up, rng)
-        gyro, accel = measured(config.imu, rate, force, flights.rate_hz, rng)
-        roll_pitch = roll_pitch_of_up(up).astype(np.float32)
+        signals = draw(n, length, rng)
         for k in range(0, length, steps):
-            part = slice(k, k + steps)
-            window = (each[:, part] for each in (gyro, accel, roll_pitch))
-            yield *window, np.full(n, k == 0)
+            gyro, accel, target, *others = (each[:, k : k + steps] for each in signals)
+            yield gyro, accel, target, np.full(n, k == 0), *others
 
 
 def network_inputs(config: TrainConfig, batch: Batch, state: NDArray[np.void] | None = None) -> Tensor:

@@ -206,9 +206,11 @@ def control(level, u, m, c):
 def attitude_set_point(level, u, m, c, out):
     """What an attitude controller in place of the inner levels is to follow, at levels down to attitude.
 
-    It is written to out (4,): roll, pitch [rad], yaw rate [rad/s] and thrust per mass [m/s²].
+    It is written to out (4,): roll, pitch [rad], yaw rate [rad/s] and thrust per mass [m/s²]. The body rate
+    that the cascade would ask for is left in `rate_cmd` of the record.
     """
     rate, out[3] = _guide(level, u, m, c)
+    c.rate_cmd[0], c.rate_cmd[1], c.rate_cmd[2] = rate
     axis, cos, sin = c.thrust_axis, math.cos(m.yaw), math.sin(m.yaw)
     across = cos * axis[1] - sin * axis[0]
     out[0] = -math.asin(min(max(across, -1.0), 1.0))
@@ -231,18 +233,12 @@ def actuate(m, c, action):
 
 
 @njit(cache=True)
-def follow_attitude(level, u, m, set_point, c):
-    """The inner levels alone, to `ang_acc_cmd` of the record, for what `attitude_set_point` gives, (4,).
-
-    At level position the motion of the thrust axis of u is fed forward.
-    """
+def follow_attitude(m, set_point, c):
+    """The inner levels alone, to `ang_acc_cmd` of the record, for what `attitude_set_point` gives, (4,)."""
     q = from_euler_core(m.roll_pitch[0], m.roll_pitch[1], m.yaw)
     w = from_euler_core(set_point[0], set_point[1], m.yaw)
     axis = rotate_core(w[0], w[1], w[2], w[3], 0.0, 0.0, 1.0)
     p, r, _ = _attitude_stage(c.gains, q, axis, 0.0)
-    if level == POSITION:
-        x, y = _tilt_rate(c, q, u)
-        p, r = p + x, r + y
     _rate_stage(c, m.gyro, (p, r, set_point[2]))
 
 

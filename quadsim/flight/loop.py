@@ -140,6 +140,13 @@ class FlightLoop:
         if ids is None:
             self.sense()
 
+    def put_back(self) -> None:
+        """Put crashed vehicles back above their set-points, so that none of their numbers overflows."""
+        if self.crashed:
+            crashed = np.flatnonzero(self.records["flight"]["crashed"])
+            self.plant.reset(position=self.target["position"][crashed] + [0.0, 0.0, 1.0], ids=crashed)
+            self.controller.reset(crashed)
+
     def step(
         self, level: Level = "position", command: Command | None = None, wind: Array | None = None
     ) -> None:

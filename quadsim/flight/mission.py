@@ -109,10 +109,7 @@ class Mission(FlightLoop):
 
     def _accept(self, level: Level, command: Command | None, wind: Array | None) -> int:
         """Put crashed vehicles back above their set-points, and let the faults of vehicles act."""
-        if self.crashed:
-            crashed = np.flatnonzero(self._flights["crashed"])
-            self.plant.reset(position=self.target["position"][crashed] + [0.0, 0.0, 1.0], ids=crashed)
-            self.controller.reset(crashed)
+        self.put_back()
         if self._faults.any:
             self._faults.apply(self.k)
         return super()._accept(level, command, wind)

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ..control.attitude_controller import MakeController
 from ..imu.stream import simulate_readings
 from ..motion.rotors import state_dtype
 from ..seeding import children
@@ -18,6 +19,8 @@ from .recipe import Recipe
 Array = NDArray[np.float64]
 Seeds = Sequence[np.random.SeedSequence]
 
+MOTION, BODY, AIR, SENSOR, ANGLES, GROUND, PILOT = range(7)
+"""Children of a flight's seed, one for each component that draws from it; the last is for what flies it."""
 MAX_SPEED = 150.0  # m/s, and
 MAX_BODY_RATE = 150.0  # rad/s: a vehicle beyond either has diverged
 
@@ -38,43 +41,67 @@ def simulate_flights(
         wind gyro_bias accel_bias, and `end_step` (n,), the number of valid samples of each flight (a vehicle
         that diverges holds its last valid sample), with `end_reason`, "" for a whole flight.
     """
-    parts = [children(seeds, part) for part in range(6)]
-    motion, _, _, imu, _, ground = parts
     log = np.zeros((len(seeds), steps), state_dtype(len(config.vehicle.rotors)))
     end = np.full(len(seeds), steps)
     if config.hand_held is not None:
-        for name, values in move_by_hand(config.hand_held, steps, rate_hz, motion).items():
+        motion = move_by_hand(config.hand_held, steps, rate_hz, children(seeds, MOTION))
+        for name, values in motion.items():
             log[name] = values
     else:
-        _fly(config, log, rate_hz, parts)
+        total = round(config.warmup_s * rate_hz) + steps
+        loop = recipe_loop(config, seeds, total, rate_hz, log)
+        if total == steps:
+            loop.sense()  # the first sample is recorded, in its wind
+        loop.follow(total - 1)
         end = _held(log)
     if config.ground is not None:
-        before = start_on_ground(config.ground, log, rate_hz, ground)
+        before = start_on_ground(config.ground, log, rate_hz, children(seeds, GROUND))
         end = np.where(end < steps, np.minimum(end + before, steps), steps)
     flights = {name: log[name] for name in log.dtype.names or () if name != "ang_acc"}
     reasons = ["" if e == steps else f"diverged after {e / rate_hz:.2f} s" for e in end]
-    readings = simulate_readings(config.imu, log, rate_hz, imu)
+    readings = simulate_readings(config.imu, log, rate_hz, children(seeds, SENSOR))
     return {**flights, **readings, "end_step": end, "end_reason": reasons}
 
 
-def _fly(config: Recipe, log: NDArray[np.void], rate_hz: float, parts: Sequence[Seeds]) -> None:
-    """Fill the log (n, T) with flights."""
-    motion, body, air, _, angles, _ = parts
-    n, total = len(log), round(config.warmup_s * rate_hz) + log.shape[1]
-    vehicles = [randomise(config.vehicle, config.randomisation, np.random.default_rng(s)) for s in body]
-    plans = planned(config.trajectory, config.wind, total, rate_hz, motion, air)
+def recipe_loop(
+    config: Recipe,
+    seeds: Seeds,
+    steps: int,
+    rate_hz: float = 200.0,
+    log: NDArray[np.void] | None = None,
+    controller: MakeController | None = None,
+) -> FlightLoop:
+    """The loops of flights of a recipe, one per seed, at their first sample.
+
+    Args:
+        config: What to fly, but for motion by hand and the ground.
+        seeds: One per flight; flight i depends on seeds[i] alone.
+        steps: Samples that are planned.
+        rate_hz: Samples per second.
+        log: Where the states are written, see `FlightLoop`.
+        controller: Flies on the readings of the IMU; None for the cascade, which has the true body rate.
+    """
+    path, body, air, angles = (children(seeds, part) for part in (MOTION, BODY, AIR, ANGLES))
+    plans = planned(config.trajectory, config.wind, steps, rate_hz, path, air)
     first = plans[:, 0].copy()
     plans["wind"][:, :-1] = plans["wind"][:, 1:]  # a sample's wind is that of the way to it
     if config.attitude_error.sd_deg:
-        plans["attitude_error"] = config.attitude_error.series(total, rate_hz, angles)
+        plans["attitude_error"] = config.attitude_error.series(steps, rate_hz, angles)
     loop = FlightLoop(
-        vehicles, n, rate_hz=rate_hz, nominal=config.vehicle, engine=config.engine, plans=plans, log=log
+        [randomise(config.vehicle, config.randomisation, np.random.default_rng(seed)) for seed in body],
+        len(seeds),
+        rate_hz=rate_hz,
+        imu=None if controller is None else config.imu,
+        seed=children(seeds, SENSOR),
+        nominal=config.vehicle,
+        engine=config.engine,
+        controller=controller,
+        plans=plans,
+        log=log,
     )
     loop.reset(position=first["target"]["position"], velocity=first["target"]["velocity"])
     loop.plant.wind[:] = first["wind"]
-    if total == log.shape[1]:
-        loop.sense()  # the first sample is recorded, in its wind
-    loop.follow(total - 1)
+    return loop
 
 
 def _held(log: NDArray[np.void]) -> NDArray[np.int64]:

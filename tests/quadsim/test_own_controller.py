@@ -67,6 +67,22 @@ def test_the_set_point_is_the_attitude_that_points_the_thrust_where_the_cascade_
         np.testing.assert_allclose(rotate_core(*q, 0.0, 0.0, 1.0), c["thrust_axis"], atol=1e-12)
 
 
+def test_the_body_rate_that_the_cascade_would_ask_for_stands_beside_the_set_point():
+    """Its own levels below make the same angular acceleration of it, turning set-points included."""
+    rng, vehicle = np.random.default_rng(0), load_vehicle("hummingbird")
+    whole, above = Controller(vehicle, 2).records
+    for c in (whole, above):
+        c["gains"]["rate_integral"] = c["gains"]["yaw_rate_integral"] = 0.0
+    gain = np.array([whole["gains"]["rate"]] * 2 + [whole["gains"]["yaw_rate"]])
+    u, m = np.zeros(1, SET_POINT)[0], np.zeros(1, MEASURED)[0]
+    for _ in range(5):
+        u["acceleration"] += rng.normal(0, 0.1, 3)
+        u["yaw_rate"], m["gyro"], m["roll_pitch"] = rng.normal(), rng.normal(0, 1, 3), rng.normal(0, 0.3, 2)
+        control(0, u, m, whole)
+        attitude_set_point(0, u, m, above, np.zeros(4))
+        np.testing.assert_allclose(gain * (above["rate_cmd"] - m["gyro"]), whole["ang_acc_cmd"], rtol=1e-12)
+
+
 class Bad:
     """A controller that returns what it is told to."""
 

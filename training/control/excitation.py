@@ -1,103 +1,74 @@
-"""What is added to the flights that controllers learn from: set-points, torques, uneven rotors."""
-
-from __future__ import annotations
+"""What is added to the flights that controllers learn from: to set-points, and to what is asked of rotors."""
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from quadsim.vehicle import GRAVITY
+
 Array = NDArray[np.float64]
+RATE_HZ = 200.0
+STEP_S, CHIRP_HZ = (0.2, 0.8), (0.3, 4.0)
+"""Shortest and longest step, of which a chirp takes three [s]; range of the frequencies of a chirp [Hz]."""
 
 
-@dataclass(frozen=True)
-class Excitation:
-    """What is added to flights of the recipe, drawn for each flight and, in turn, for each part of it.
+class Excitation(NamedTuple):
+    """Largest values. A flight has a share of each, the square of a uniform number: half are calm."""
 
-    All but the thrust of rotors and battery is scaled by a factor of the flight, the square of a uniform
-    number: half of the flights are calm.
-    """
-
-    step_deg: float = 20.0
-    """Largest step of the roll and the pitch set-point [deg]."""
-    step_s: tuple[float, float] = (0.2, 0.8)
-    """Its shortest and longest duration [s]."""
-    chirp_deg: float = 10.0
-    """Largest amplitude of a chirp of them [deg]."""
-    chirp_hz: tuple[float, float] = (0.3, 4.0)
-    """Range of its frequencies [Hz]."""
-    yaw_rate: float = 1.0
-    """Largest step of the yaw-rate set-point [rad/s]."""
-    still: float = 0.6
-    """Share of the parts of a flight without any of these."""
-    pulse: float = 15.0
-    """Largest pulse of angular acceleration about roll and pitch, a tenth of it about yaw [rad/s²]."""
-    noise: float = 3.0
-    """Standard deviation of a slowly varying disturbance of the command, about yaw a tenth of it [rad/s²]."""
-    rotor_spread: float = 0.06
-    """Largest loss of thrust of a rotor, as a share: a constant torque, as of a displaced centre of mass."""
-    battery: float = 0.8
-    """Least thrust of all rotors over the nominal one."""
-    start_tilt_deg: float = 30.0
-    """Largest tilt at the start, which no estimate knows [deg]."""
+    step_deg: float = 20.0  #: step of the roll and the pitch set-point [deg]
+    chirp_deg: float = 10.0  #: amplitude of a chirp of them [deg]
+    yaw_rate: float = 1.0  #: step of the yaw-rate set-point [rad/s]
+    pulse: float = 15.0  #: pulse of angular acceleration about roll and pitch; about yaw a tenth [rad/s²]
+    noise: float = 3.0  #: standard deviation of its slowly varying noise [rad/s²]
+    constant: float = 2.5  #: its constant part, in full: uneven rotors, a displaced centre of mass [rad/s²]
 
 
 STANDARD = Excitation()
-"""Of the flights that the shipped controllers learnt from."""
 
 
-class SetPointExcitation(NamedTuple):
-    """What is added to a flight's set-points of roll, pitch [rad] and yaw rate [rad/s]."""
+def excite_set_points(
+    target: NDArray[np.void], added: Excitation, size: float, velocity_gain: float, rng: np.random.Generator
+) -> None:
+    """Add a share of steps and chirps to the set-points of a flight, (T,) records of `SET_POINT`.
 
-    jumps: Array
-    """Steps, (T, 3)."""
-    chirps: Array
-    """Sines of rising or falling frequency that swell and fade, (T, 3)."""
-
-
-def set_point_excitation(
-    added: Excitation, steps: int, rate_hz: float, rng: np.random.Generator
-) -> SetPointExcitation:
-    """Steps and chirps of roll and pitch, steps of the yaw rate, for a flight of some samples."""
-    out, k = SetPointExcitation(np.zeros((steps, 3)), np.zeros((steps, 3))), 0
-    (low, high), tilt = added.step_s, math.radians(added.step_deg)
-    while k < steps:
-        kind = rng.random()
-        length = max(1, round(rate_hz * math.exp(rng.uniform(math.log(low), math.log(high)))))
-        part = slice(k, min(k + length, steps))
-        if kind > added.still + 0.6 * (1.0 - added.still):
-            length *= 3
-            part = slice(k, min(k + length, steps))
-            time = np.arange(part.stop - part.start) / rate_hz
-            low_hz, high_hz = map(math.log, added.chirp_hz)
-            f0, f1 = np.exp(rng.uniform(low_hz, high_hz, 2))
-            phase = 2.0 * math.pi * (f0 * time + 0.5 * (f1 - f0) * time**2 * rate_hz / length)
-            wave = np.sin(phase) * np.sin(math.pi * rate_hz / length * time)
-            out.chirps[part, :2] = wave[:, None] * rng.uniform(-1.0, 1.0, 2) * math.radians(added.chirp_deg)
-        elif kind > added.still:
-            out.jumps[part] = rng.uniform(-1.0, 1.0, 3) * [tilt, tilt, added.yaw_rate]
+    A velocity asks for a tilt at once. The tilt of an acceleration is a motion, which is fed forward, too.
+    """
+    step, chirp = (size * GRAVITY * math.radians(tilt) for tilt in (added.step_deg, added.chirp_deg))
+    k = 0
+    while k < len(target):
+        kind = rng.choice(["still", "step", "chirp"], p=[0.6, 0.24, 0.16])
+        length = round(RATE_HZ * _log_uniform(STEP_S, rng)) * (3 if kind == "chirp" else 1)
+        part = target[k : k + length]
+        if kind == "chirp":
+            time, share = np.arange(len(part)) / RATE_HZ, np.arange(len(part)) / length
+            first, last = _log_uniform(CHIRP_HZ, rng), _log_uniform(CHIRP_HZ, rng)
+            wave = np.sin(2.0 * math.pi * time * (first + 0.5 * (last - first) * share))
+            wave *= np.sin(math.pi * share)
+            part["acceleration"][:, :2] += wave[:, None] * rng.uniform(-chirp, chirp, 2)
+        elif kind == "step":
+            part["velocity"][:, :2] += rng.uniform(-step, step, 2) / velocity_gain
+            part["yaw_rate"] += size * added.yaw_rate * rng.uniform(-1.0, 1.0)
         k += length
-    return out
 
 
-def torque_excitation(added: Excitation, steps: int, rate_hz: float, rng: np.random.Generator) -> Array:
-    """Pulses and slowly varying noise of angular acceleration, (steps, 3) [rad/s²]."""
+def disturbance(added: Excitation, size: float, steps: int, rng: np.random.Generator) -> Array:
+    """Disturbance of the angular acceleration over a flight, (steps, 3) [rad/s²]."""
     from scipy.signal import lfilter  # takes half a second
 
-    decay = math.exp(-1.0 / (rate_hz * math.exp(rng.uniform(math.log(0.03), math.log(0.3)))))
+    decay = math.exp(-1.0 / (RATE_HZ * _log_uniform((0.03, 0.3), rng)))
     white = rng.normal(size=(steps, 3)) * math.sqrt(1.0 - decay**2)
-    out = added.noise * rng.uniform() * np.asarray(lfilter([1.0], [1.0, -decay], white, axis=0))
+    out = size * added.noise * rng.uniform() * np.asarray(lfilter([1.0], [1.0, -decay], white, axis=0))
     k = 0
     while k < steps:
-        k += round(rate_hz * rng.uniform(0.5, 4.0))
-        length = round(rate_hz * rng.uniform(0.02, 0.15))
-        out[k : k + length] += added.pulse * rng.uniform(-1.0, 1.0, 3)
+        k += round(RATE_HZ * rng.uniform(0.5, 4.0))
+        length = round(RATE_HZ * rng.uniform(0.02, 0.15))
+        out[k : k + length] += size * added.pulse * rng.uniform(-1.0, 1.0, 3)
         k += length
-    return out * [1.0, 1.0, 0.1]
+    return (out + added.constant * rng.uniform(-1.0, 1.0, 3)) * [1.0, 1.0, 0.1]
 
 
-def rotor_effect(added: Excitation, rotors: int, rng: np.random.Generator) -> Array:
-    """Thrust of each rotor over its nominal one, (rotors,)."""
-    return rng.uniform(added.battery, 1.0) * (1.0 - added.rotor_spread * rng.uniform(0.0, 1.0, rotors))
+def _log_uniform(limits: tuple[float, float], rng: np.random.Generator) -> float:
+    low, high = map(math.log, limits)
+    return math.exp(rng.uniform(low, high))

@@ -2,39 +2,32 @@
 
 from __future__ import annotations
 
-import io
-import math
-import zipfile
-from collections.abc import Iterator
-from dataclasses import asdict
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimators.control.controller import SpikingController
 from estimators.networks.weights_file import NetworkConfig, Tensors
 from quadsim.flight.recipe import load_recipe
-from quadsim.runs.files import write_whole
+from quadsim.runs.files import replace
 from quadsim.seeding import child
 
 from ..config import TrainConfig
-from ..data import Batch, network_inputs
+from ..data import Batch, network_inputs, windows_of
 from ..init import initialise_controller
 from ..models import AttSNN
-from .labelled_flights import RATE_HZ, SIGNALS, ControlFlights, fly, joined
+from .labelled_flights import RATE_HZ, fly
 
 if TYPE_CHECKING:
     from ..epochs import Student
 
 FLIGHTS, VALIDATION, INITIAL, WINDOWS = range(4)
 """Children of a run's seed."""
-CRASH_DEG = 90.0
-"""What a crashed validation flight counts as [deg]."""
-INITIAL_WINDOWS = 24
-"""Windows that the initial network is solved on, and"""
-INITIAL_S = 6.0
-"""their length [s]."""
+INITIAL_WINDOWS, INITIAL_S = 24, 6.0
+"""Windows that the initial network is solved on, and their length [s]."""
 
 
 class ControlTask:
@@ -49,10 +42,8 @@ class ControlTask:
 
     def __init__(self, config: TrainConfig, out: Path) -> None:
         self.config, self.out = config, out
-        self.recipe = load_recipe(config.control.recipe)
-        self.scale = config.control.error_scale
-        self.rounds: list[ControlFlights] = []
-        self.teacher_deg = math.nan
+        self.recipe, self.scale = load_recipe(config.control.recipe), config.control.error_scale
+        self.rounds: list[NDArray[np.void]] = []
 
     def contents(self) -> dict[str, str]:
         """The recipe of the flights."""
@@ -62,40 +53,39 @@ class ControlTask:
         """The network before the first update, after the teacher's flights."""
         config = self.config
         self.rounds = [self._round(0)]
-        self.teacher_deg = tracking_deg(self._validation_flights(None))
-        long = config.model_copy(update={"window_s": min(INITIAL_S, config.control.flight_s)})
-        seed = np.random.SeedSequence([config.seed, INITIAL])
-        batch = next(
-            windows(self.rounds[0], long, round(long.window_s * self.rate_hz), seed, INITIAL_WINDOWS)
-        )
+        self.teacher_deg = tracking_deg(self._fly((VALIDATION,), config.control.validation_flights))
+        drawn = config.model_copy(update={"batch_size": INITIAL_WINDOWS, "windows_per_stream": 1})
+        steps = round(min(INITIAL_S, config.control.flight_s) * self.rate_hz)
+        batch = next(windows(self.rounds[0], drawn, steps, (config.seed, INITIAL)))
         model = AttSNN(config)
         initialise_controller(model, network_inputs(config, batch).numpy(), batch.target, config.seed)
         return model
 
-    def _seeds(self, *key: int, n: int) -> list[np.random.SeedSequence]:
-        return [child(np.random.SeedSequence([self.config.seed, *key]), i) for i in range(n)]
+    def _fly(self, key: Sequence[int], n: int, *pilots: Any) -> NDArray[np.void]:
+        """Flights of a child of the run's seed; `pilots` are a student, and the teacher's share."""
+        seeds = [child(np.random.SeedSequence([self.config.seed, *key]), i) for i in range(n)]
+        return fly(self.recipe, seeds, self.config.control.flight_s, *pilots)
 
-    def _round(self, number: int, student: Student | None = None) -> ControlFlights:
+    def _round(self, number: int, student: Student | None = None) -> NDArray[np.void]:
         """Flights of a round, from its file where there is one: the student's, after the teacher's."""
-        control, file = self.config.control, self.out / f"round-{number}.npz"
+        control, file = self.config.control, self.out / f"round-{number}.npy"
         if not file.is_file():
-            seeds = self._seeds(FLIGHTS, number, n=control.round_flights if student else control.flights)
+            n = control.round_flights if student else control.flights
             pilot = SpikingController(*student()) if student else None
-            save_flights(file, fly(control, self.recipe, seeds, pilot, control.teacher_share**number))
-        return read_flights(file)
-
-    def _validation_flights(self, student: SpikingController | None) -> ControlFlights:
-        seeds = self._seeds(VALIDATION, n=self.config.control.validation_flights)
-        return fly(self.config.control, self.recipe, seeds, student)
+            flights = self._fly((FLIGHTS, number), n, pilot, control.teacher_share**number)
+            replace(file, lambda part: np.save(part, flights))
+        try:
+            return np.load(file, allow_pickle=False)
+        except (ValueError, EOFError, OSError) as error:
+            raise ValueError(f"{file}: damaged, choose another folder for the run") from error
 
     def windows(self, epoch: int, student: Student) -> Iterator[Batch]:
         """The windows of an epoch, after the flights of its round."""
         config = self.config
         while len(self.rounds) <= config.round_of(epoch):
             self.rounds.append(self._round(len(self.rounds), student))
-        seed = np.random.SeedSequence([config.seed, WINDOWS, epoch])
-        steps = config.steps(self.rate_hz)
-        return windows(joined(self.rounds), config, steps, seed, config.batch_size)
+        seed, steps = (config.seed, WINDOWS, epoch), config.steps(self.rate_hz)
+        return windows(np.concatenate(self.rounds), config, steps, seed)
 
     def validate(self, network: NetworkConfig, tensors: Tensors) -> dict[str, float]:
         """Figures of the student's flights.
@@ -105,16 +95,16 @@ class ControlTask:
         error scale.
         """
         student = SpikingController(network, tensors)
-        flown = self._validation_flights(student)
+        flown = self._fly((VALIDATION,), self.config.control.validation_flights, student)
+        valid = flown["valid"] > 0
         student.reset(len(flown))
-        out = student.sequence(flown.set_point, flown.gyro, flown.accel)[..., :3]
-        valid = np.arange(out.shape[1]) < flown.end[:, None]
-        error = (out - flown.target)[valid] / np.array(self.scale)
+        out = student.sequence(flown["set_point"], flown["gyro"], flown["accel"])[..., :3]
+        error = (out - flown["target"])[valid] / np.array(self.scale)
         return {
             "tracking_deg": tracking_deg(flown),
             "teacher_deg": self.teacher_deg,
-            "crashes": float(flown.crashes),
-            "imitation": float(np.sqrt(np.mean(error**2))) if valid.any() else math.inf,
+            "crashes": float((~valid[:, -1]).sum()),
+            "imitation": float(np.sqrt(np.mean(error**2))) if valid.any() else np.inf,
         }
 
     def note(self) -> dict[str, Any]:
@@ -122,54 +112,24 @@ class ControlTask:
         return {"vehicles": [self.recipe.vehicle.name], "training_flights": sum(map(len, self.rounds))}
 
 
-def tracking_deg(flights: ControlFlights) -> float:
-    """Root mean square over flights of the tracking error, crashed ones counted as `CRASH_DEG` [deg]."""
-    crashed = flights.end < flights.gyro.shape[1]
-    return float(np.sqrt(np.mean(np.where(crashed, CRASH_DEG, flights.error_deg) ** 2)))
+def tracking_deg(flights: NDArray[np.void]) -> float:
+    """Root mean square over flights of the tracking error, crashed ones counted as 90° [deg]."""
+    squares = np.degrees(flights["error"]) ** 2
+    return float(np.sqrt(np.mean(np.where(flights["valid"][:, -1:], squares, 90.0**2))))
 
 
 def windows(
-    flights: ControlFlights, config: TrainConfig, steps: int, seed: np.random.SeedSequence, n: int
+    flights: NDArray[np.void], config: TrainConfig, steps: int, seed: Sequence[int]
 ) -> Iterator[Batch]:
-    """Windows of n streams for an epoch: each starts anywhere in a flight and is cut into successive windows.
-
-    Streams differ in length, log-uniform up to `windows_per_stream`; half of them start with their flight.
-    """
-    rng, available = np.random.default_rng(seed), flights.end
-    if not np.any(available >= steps):
+    """The windows of an epoch, see `training.data.windows_of`; half of the streams start with a flight."""
+    end = flights["valid"].sum(axis=1)
+    if end.max() < steps:
         raise ValueError("every flight ends within a window: give a smaller window_s")
-    place, left, row = np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n, np.int64)
-    for _ in range(config.batches):
-        reset = left == 0
-        for i in np.flatnonzero(reset):
-            most = min(config.windows_per_stream, int(available.max()) // steps)
-            left[i] = int(math.exp(rng.uniform(0.0, math.log(most + 1))))
-            while not np.any(available >= left[i] * steps):
-                left[i] -= 1
-            row[i] = rng.choice(np.flatnonzero(available >= left[i] * steps))
-            latest = int(available[row[i]]) - left[i] * steps
-            place[i] = 0 if rng.random() < 0.5 else rng.integers(latest + 1)
-        index = row[:, None], place[:, None] + np.arange(steps)
-        gyro, accel, set_point, target = (getattr(flights, name)[index] for name in SIGNALS)
-        yield Batch(gyro, accel, target, reset, set_point)
-        place += steps
-        left -= 1
 
+    def draw(n: int, length: int, rng: np.random.Generator) -> tuple[NDArray, ...]:
+        rows = rng.choice(np.flatnonzero(end >= length), n)
+        first = rng.integers(end[rows] - length + 1) * rng.integers(2, size=n)
+        part = flights[rows[:, None], first[:, None] + np.arange(length)]
+        return part["gyro"], part["accel"], part["target"], part["set_point"]
 
-def save_flights(file: Path, flights: ControlFlights) -> None:
-    """Write flights as an archive of arrays."""
-    np.savez(buffer := io.BytesIO(), **asdict(flights))
-    write_whole(file, buffer.getvalue())
-
-
-def read_flights(file: Path) -> ControlFlights:
-    """Read what `save_flights` wrote.
-
-    Raises:
-        ValueError: The file is damaged.
-    """
-    try:
-        with np.load(file, allow_pickle=False) as stored:
-            return ControlFlights(**stored)
-    except (ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{file}: damaged, choose another folder for the run") from error
+    return windows_of(draw, int(end.max()), config, steps, seed)
