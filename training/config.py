@@ -19,7 +19,7 @@ from estimators.networks.weights_file import (
 )
 from quadsim.config.ranges import Between, Share
 from quadsim.config.toml import Strict, describe, load_toml, merged, preset_names, shipped_folder
-from quadsim.flight.recipe import NamedImu
+from quadsim.flight.recipe import NamedImu, Variant
 from quadsim.held_out import unreserved
 from quadsim.imu.spec import ImuSpec, Sensor
 
@@ -136,15 +136,11 @@ class TrainingRecipe(Strict):
         return OPTIMISATIONS[self.optimisation]
 
 
-class FlightSet(Strict):
+class FlightSet(Variant):
     """Flights of a recipe."""
 
-    recipe: str
-    """A shipped recipe or a TOML file."""
     flights: dict[str, Number] = Field(min_length=1)
     """How many of each vehicle."""
-    changes: dict[str, Any] = Field(default={})
-    """Keys of the recipe that differ."""
 
 
 class CircuitTraining(Strict):
