@@ -145,12 +145,8 @@ def measure(rounds: int = 9, jobs: dict[str, Job] | None = None) -> pd.DataFrame
         pd.DataFrame({name: each[:, k] / jobs[name][1] * 1e6 for name, each in taken.items()}) for k in (0, 1)
     )
     raw, bulk = (cpu[name] for name in list(jobs)[:2])
-    found = {
-        "wall_us": wall,
-        "cpu_us": cpu,
-        "over_raw": cpu.div(raw, axis=0),
-        "over_bulk": cpu.div(bulk, axis=0),
-    }
+    over = {"over_raw": cpu.div(raw, axis=0), "over_bulk": cpu.div(bulk, axis=0)}
+    found = {"wall_us": wall, "cpu_us": cpu, **over}
     return pd.DataFrame({name: each.median() for name, each in found.items()})
 
 

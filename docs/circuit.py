@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from errors import on_flights, on_recordings
-from foreign import AIRFRAMES, foreign
+from foreign import foreign
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from pages import Part, Row, Values, span
-from simulated import simulated
+from simulated import Generated, simulated
 
 from estimators.analysis.circuit import measure
 from estimators.circuit.circuit_estimator import SCALING, Silent, circuit_estimator
@@ -27,11 +27,7 @@ from estimators.evaluation.logs import RAW
 from estimators.metrics import Summary
 from estimators.networks.encoder import encode_sample
 from estimators.networks.network import NetworkEstimator, zero_states
-from quadsim.dataset.generation import generate
-from quadsim.dataset.reading import open_dataset
 from quadsim.estimator import AttitudeEstimator
-from quadsim.flight.recipe import load_recipe
-from quadsim.flight.scenario import changed
 from quadsim.runs.console import progress_bar
 
 Array = NDArray[np.float64]
@@ -44,15 +40,12 @@ TUMBLING = {
     "rest_s": (0.5, 10.0),
 }
 """A hand that turns an IMU at 10 rad/s and more, and shakes it hard."""
+CRAZYFLIE = {"vehicle": "crazyflie"}
 SETS = {
     "px4-quad, wind, rough IMU": ("robust", {"vehicle": "px4-quad"}, 8601),
-    "Crazyflie, wind, rough IMU": ("robust", {"vehicle": "crazyflie"}, 8602),
+    "Crazyflie, wind, rough IMU": ("robust", CRAZYFLIE, 8602),
     "turbulence, uncalibrated IMU": ("turbulent", {"imu": "raw"}, 8603),
-    "Crazyflie of any mass and drag, uncalibrated IMU": (
-        "wide",
-        {"vehicle": "crazyflie", "imu": "raw"},
-        8613,
-    ),
+    "Crazyflie of any mass and drag, uncalibrated IMU": ("wide", CRAZYFLIE | {"imu": "raw"}, 8613),
     "hand-held, any attitude": ("hand-held", {}, 8608),
     "hand-held, tumbling": ("hand-held", {"hand_held": TUMBLING}, 8611),
 }
@@ -103,9 +96,8 @@ def errors_by_set(given: Namespace) -> dict[str, pd.DataFrame]:
     sets = {"Hummingbird": [simulated("test", given.data)]}
     for name, (recipe, changes, seed) in SETS.items():
         path = given.data / f"circuit-{recipe}-{seed}.zarr"
-        chosen = changed(load_recipe(recipe), changes)
-        sets[name] = [open_dataset(generate(chosen, FLIGHTS, DURATION_S, path, seed=seed))]
-    sets["RotorPy"] = [foreign(airframe, given.data) for airframe in AIRFRAMES]
+        sets[name] = [Generated(recipe, FLIGHTS, seed, changes, DURATION_S).at(path)]
+    sets["RotorPy"] = foreign(given.data)
     found = {}
     with progress_bar("circuit", "sets") as bar:
         for k, (name, flights) in enumerate(sets.items()):
@@ -191,12 +183,14 @@ def neurons() -> list[Row]:
     """The populations of the circuit that ships."""
     config, p = load_circuit(NAME)
     circuit = quantised(p, config.steps_per_sample)
-    counts = [(each.neurons, each.compartments, each.synapses) for each in populations(circuit)]
-    total = np.sum(counts, 0).tolist()
+    rows = [
+        (each.name.replace("what is felt", GATE_INPUTS), each.neurons, each.compartments, each.synapses)
+        for each in populations(circuit)
+    ]
+    total = np.sum([counts for _, *counts in rows], 0).tolist()
     assert total[0] <= 1024, total
     assert place(circuit) <= 2
-    names = [each.name.replace("what is felt", GATE_INPUTS) for each in populations(circuit)]
-    return [*((name, *each) for name, each in zip(names, counts, strict=True)), ("all", *total)]
+    return [*rows, ("all", *total)]
 
 
 def by_steps(data: Path) -> tuple[list[Row], list[Row]]:

@@ -59,9 +59,7 @@ def fly(
     loaded = load_experiment(experiment)
     settings = FlightSettings(seeds or loaded.seeds, loaded.seed or 0)
     with progress_bar(folder, "cells") as bar:
-        return bench(
-            scenarios, names, OUT / folder, settings, changes or {}, experiment=loaded, progress=bar
-        )  # fmt: skip
+        return bench(scenarios, names, OUT / folder, settings, changes or {}, experiment=loaded, progress=bar)
 
 
 def beside_crashes(value: float | None, crashes: float) -> str:
@@ -97,15 +95,13 @@ def draw_levels(results: Results) -> Figure:
     figure = Figure(figsize=(11.0, 9.6), layout="constrained")
     panels = figure.subplots(3, 2, sharey=True).ravel()
     for panel, (axis, levels) in zip(panels, results.axes.items(), strict=True):
-        for k, (name, look) in enumerate(appearance.items()):
-            shift = 0.7 * ((k + 0.5) / len(appearance) - 0.5)
+        shifts = 0.7 * ((np.arange(len(appearance)) + 0.5) / len(appearance) - 0.5)
+        for shift, (name, look) in zip(shifts, appearance.items(), strict=True):
+            panel.plot([], [], look.marker, color=look.colour, markersize=5, label=name)
             for x, level in enumerate(levels):
                 each = results.by_level[axis, level, name]
-                face = "white" if each.crashes else look.colour
-                panel.plot(
-                    x + shift, each.error_deg or np.nan, look.marker, color=look.colour, markersize=5,
-                    markerfacecolor=face, label=name if (panel is panels[0] and x == 0) else None,
-                )  # fmt: skip
+                style = {"color": look.colour, "mfc": "white" if each.crashes else look.colour}
+                panel.plot(x + shift, each.error_deg or np.nan, look.marker, markersize=5, **style)
         panel.set_xticks(range(len(levels)), [fill(level, 14) for level in levels], fontsize="small")
         panel.set_title(axis, fontsize="medium", loc="left")
         panel.set_yscale("log")

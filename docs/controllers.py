@@ -21,11 +21,11 @@ from estimators.networks.decay_profiles import share_profiles
 from estimators.networks.forward import OnLoihi
 from estimators.networks.network import silenced
 from estimators.networks.weights_file import load_network, save_network
-from quadsim.control.attitude_controller import AttitudeController, MakeController
+from quadsim.control.attitude_controller import MakeController
 from quadsim.flight.loop import FlightLoop
 from quadsim.imu.spec import load_imu
 from quadsim.rotation import roll_pitch_from_quat
-from quadsim.vehicle import GRAVITY, Vehicle, load_vehicle
+from quadsim.vehicle import GRAVITY, load_vehicle
 from scenarios.bench.controllers import controller_of
 
 Array = NDArray[np.float64]
@@ -97,13 +97,13 @@ def summary(rows: pd.DataFrame) -> list[Row]:
 def elsewhere() -> pd.DataFrame:
     """Tracking on the truth with airframes of another size, and crashes."""
     titles = {title: name for title, name in NAMES.items() if base_of(title) == TEACHER}
-    tables = []
-    for vehicle in ELSEWHERE:
-        rows = flown(vehicle, [*titles.values()], scenarios=ABROAD, changes={"vehicle": vehicle})
-        tables.append(
-            tracking_table(rows.rename(f"{vehicle}, {{}}".format, level=0), titles, "airframe, scenario")
+    rows = [
+        flown(vehicle, [*titles.values()], scenarios=ABROAD, changes={"vehicle": vehicle}).rename(
+            f"{vehicle}, {{}}".format, level=0
         )
-    return pd.concat(tables)
+        for vehicle in ELSEWHERE
+    ]
+    return tracking_table(pd.concat(rows), titles, "airframe, scenario")
 
 
 def step_response(make: MakeController | None, estimator: Any) -> Array:
@@ -191,11 +191,8 @@ def with_profiles() -> list[Row]:
 def silenced_left() -> str:
     """What remains of a step where the output weights are zero [°]."""
     config, tensors = load_network(SPIKING)
-
-    def make(rate_hz: float, vehicle: Vehicle) -> AttitudeController:
-        return SpikingController(config, silenced(config, tensors))
-
-    return f"{np.abs(step_response(make, None)[:, -1] - STEP_DEG).mean():.0f}"
+    silent = SpikingController(config, silenced(config, tensors))
+    return f"{np.abs(step_response(lambda *_: silent, None)[:, -1] - STEP_DEG).mean():.0f}"
 
 
 def controllers(part: Part, given: Namespace) -> Values:

@@ -75,17 +75,7 @@ def missing_tools() -> list[str]:
 
 
 def build(folder: Path, source: Path, controls: bool, core: Core) -> tuple[Path, Size]:
-    """Compile an exported network.
-
-    Args:
-        folder: Where the program goes.
-        source: Folder of the export.
-        controls: Whether it is a controller.
-        core: What for.
-
-    Returns:
-        The program, and its size.
-    """
+    """Compile the export in `source`, of a controller or not, to a program in `folder`; it and its size."""
     folder.mkdir(parents=True, exist_ok=True)
     name = "snn_control" if controls else "att_snn"
     flags = [*core.flags, *STRICT, f"-I{source}"]
@@ -104,16 +94,11 @@ def build(folder: Path, source: Path, controls: bool, core: Core) -> tuple[Path,
 def run(program: Path, core: Core, samples: Array) -> Run:
     """Run a program on the emulated board; an instruction takes a fixed time there, which its timer measures.
 
-    Args:
-        program: By `build`.
-        core: What it was built for.
-        samples: (T, 6) body rate and specific force, of a controller (T, 10) with the set-point before them.
+    Samples are body rate and specific force (T, 6), of a controller with the set-point before them (T, 10).
     """
     if len(samples) > MOST:
         raise ValueError(f"{len(samples)} samples, the program has memory for {MOST}")
-    np.concatenate([[len(samples)], samples.ravel()]).astype(np.float64).tofile(
-        program.parent / "samples.bin"
-    )
+    np.append(float(len(samples)), samples).tofile(program.parent / "samples.bin")
     semihosting = ["-semihosting-config", "enable=on,target=native", "-icount", f"shift={ICOUNT_SHIFT}"]
     board = ["qemu-system-arm", "-M", core.machine, "-nographic", *semihosting]
     _run([*board, "-kernel", program], program.parent)

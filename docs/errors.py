@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import xarray as xr
-from foreign import ADIS16448, AIRFRAMES, DESCRIPTION, PLAN, foreign
+from foreign import DESCRIPTION, PLAN, foreign
 from numpy.typing import NDArray
 from pages import Part, Row, Value, Values, number, reduce_colours
-from simulated import simulated
+from simulated import Generated, simulated
 
 from estimators import create
 from estimators.circuit.circuit_estimator import Silent
@@ -29,12 +29,7 @@ from estimators.networks.network import NetworkEstimator
 from paper.plan import CHIP, RNN, SNN, sizes_of
 from paper.run import write_results
 from paper.stages import TUNING, WEIGHTS
-from quadsim.dataset.generation import generate
-from quadsim.dataset.reading import open_dataset
 from quadsim.estimator import AttitudeEstimator
-from quadsim.flight.recipe import load_recipe
-from quadsim.flight.scenario import changed
-from quadsim.imu.spec import ImuSpec
 from quadsim.logs import read_log
 from quadsim.rotation import roll_pitch_from_quat
 from quadsim.vehicle import Vehicle
@@ -60,16 +55,10 @@ PACKAGE = "vqf, package's parameters"
 def on_flights(
     made: Callable[[Vehicle | None], Made], datasets: Sequence[xr.Dataset], **how: Any
 ) -> pd.DataFrame:
-    """What `evaluate` finds on datasets together, by estimator and start.
+    """Errors [deg] of estimators, made for an airframe, on datasets together, by estimator and start.
 
-    Args:
-        made: Makes the estimators for an airframe; rotor speeds are kept from them.
-        datasets: All of one number of flights.
-        how: Arguments of `evaluate`; without them every start is unknown.
-
-    Returns:
-        Mean absolute error of roll and pitch of each flight `sequences` and their `mean_deg`, and
-        `silenced_deg` of networks [deg].
+    The mean absolute error of roll and pitch of each flight `sequences`, `mean_deg`, and `silenced_deg` of
+    networks. Rotor speeds are kept from all. Without arguments for `evaluate` every start is unknown.
     """
     how = {"initial": ["unknown"], "settle_s": 1.0} | how
     parts = [evaluate(each.drop_vars("rotor_vel"), made(vehicle_of(each)), **how) for each in datasets]
@@ -78,13 +67,6 @@ def on_flights(
     sequences = pd.Series(errors).rename_axis(["estimator", "initial"])
     columns = {"sequences": sequences, "mean_deg": sequences.map(np.mean)}
     return pd.DataFrame({**columns, "silenced_deg": tables["silenced_deg"].mean()})
-
-
-def on_rotorpy(
-    made: Callable[[Vehicle | None], Made], data: Path, imu: ImuSpec = ADIS16448, **how: Any
-) -> pd.DataFrame:
-    """The same on RotorPy's flights of all airframes."""
-    return on_flights(made, [foreign(airframe, data, imu) for airframe in AIRFRAMES], **how)
 
 
 def with_silenced(found: pd.Series) -> str:
@@ -163,7 +145,7 @@ COLUMNS = {
 def readme(part: Part, given: Namespace) -> Values:
     """The README's table of errors."""
     test = simulated("test", given.data)
-    flights = {HOME: [test], ROTORPY: [foreign(airframe, given.data) for airframe in AIRFRAMES]}
+    flights = {HOME: [test], ROTORPY: foreign(given.data)}
     general = made_of([*WITHOUT_DRAG, "imm", "att-snn-loihi", "att-rnn"], RATE_HZ) | package_vqf()
     general[ALONE] = create("att-snn-loihi", RATE_HZ, weights=ALONE)
 
@@ -190,17 +172,16 @@ def readme(part: Part, given: Namespace) -> Values:
 # --- real recordings ------------------------------------------------------------------------------
 
 SCORED = ("imm", "vqf", "eskf", "mahony", "att-snn", "att-rnn")
-FLIGHTS = 4
 SETTLED_S = 3.0
 """Time at the start of a simulated flight that is not scored [s]."""
-SIMULATED = (
-    ("hummingbird", "hummingbird", 3),
-    ("turbulent", "hummingbird", 43),
-    ("robust", "hummingbird", 40),
-    ("robust", "px4-quad", 41),
-    ("robust", "crazyflie", 42),
-)
-"""Recipe, vehicle and seed of flights on which nothing is trained."""
+SIMULATED = {
+    "hummingbird, hummingbird": Generated("hummingbird", 4, 3),
+    "turbulent, hummingbird": Generated("turbulent", 4, 43),
+    "robust, hummingbird": Generated("robust", 4, 40),
+    "robust, px4-quad": Generated("robust", 4, 41, {"vehicle": "px4-quad"}),
+    "robust, crazyflie": Generated("robust", 4, 42, {"vehicle": "crazyflie"}),
+}
+"""Recipe and vehicle of flights on which nothing is trained."""
 
 
 def recorded_errors(scores: LogScores) -> list[Row]:
@@ -220,16 +201,14 @@ def believed(name: str, found: Sequence[tuple[Beliefs, Array, NDArray[np.bool_]]
     return name, *(f"{100 * share:.0f} %" for share in (*shares, inside)), f"{ratio:.1f}"
 
 
-def believed_in_flight(recipe: str, vehicle: str, seed: int, data: Path) -> Row:
+def believed_in_flight(name: str, data: Path) -> Row:
     """The same of simulated flights; those of an earlier run if they are there."""
-    path = data / f"docs-{recipe}-{vehicle}.zarr"
-    chosen = changed(load_recipe(recipe), {"vehicle": vehicle})
-    flown = open_dataset(generate(chosen, FLIGHTS, 100.0, path, seed=seed, workers=1))
+    flown = SIMULATED[name].at(data / f"docs-{name.replace(', ', '-')}.zarr")
     gyro, accel, quat = (flown[name].to_numpy().astype(float) for name in ("gyro", "accel", "quat"))
     its = beliefs(create("imm", RATE_HZ), gyro, accel)
     assert its is not None
     counted = np.broadcast_to(np.arange(gyro.shape[1]) >= SETTLED_S * RATE_HZ, gyro.shape[:2])
-    return believed(f"{recipe}, {vehicle}", [(its, roll_pitch_from_quat(quat), counted)])
+    return believed(name, [(its, roll_pitch_from_quat(quat), counted)])
 
 
 def recordings(part: Part, given: Namespace) -> Values:
@@ -242,7 +221,7 @@ def recordings(part: Part, given: Namespace) -> Values:
         rows.append(believed(f"{name}, real", found))
     values: dict[str, Value] = {
         "models": " | ".join(MODELS),
-        "believed": [*rows, *(believed_in_flight(*each, given.data) for each in SIMULATED)],
+        "believed": [*rows, *(believed_in_flight(each, given.data) for each in SIMULATED)],
         "vqf": ", ".join(f"{key} {value:g}" for key, value in VQF_DEFAULTS.items()),
     }
     for name, logs in recorded(given.recordings).items():
@@ -275,8 +254,7 @@ def paper(part: Part, given: Namespace) -> Values:
         for title, (model, stage) in NETWORKS.items()
     }
     made |= {name: create(name, RATE_HZ, tuning=parts / f"tune-{name}" / TUNING) for name in FILTERS}
-    flights = {ROTORPY: [foreign(airframe, given.data) for airframe in AIRFRAMES]}
-    found = mean_errors(lambda _: made, flights, given.recordings).loc[[*made, LEVEL]]
+    found = mean_errors(lambda _: made, {ROTORPY: foreign(given.data)}, given.recordings).loc[[*made, LEVEL]]
     return {
         "page": part.path.read_text("utf-8").rstrip("\n"),
         "rotorpy": DESCRIPTION,

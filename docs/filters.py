@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import xarray as xr
-from errors import on_rotorpy, with_silenced
-from foreign import AIRFRAMES, DESCRIPTION, foreign
+from errors import on_flights, with_silenced
+from foreign import DESCRIPTION, PLANS, foreign
 from foreign import DURATION_S as FOREIGN_S
 from pages import Part, Row, Values, span
 from simulated import DURATION_S, SETS, simulated
@@ -25,10 +25,7 @@ from quadsim.estimator import AttitudeEstimator, Readings
 from quadsim.runs.console import progress_bar
 from quadsim.vehicle import Vehicle, with_drag
 
-DOMAINS = {
-    "hummingbird-adis16448": "test",
-    "px4-quad-px4-mini": "test-px4",
-}
+DOMAINS = {"hummingbird-adis16448": "test", "px4-quad-px4-mini": "test-px4"}
 """Domain to its test flights."""
 LEFT_OUT = ("truth", "att-snn")
 """The truth has no error, and att-snn is att-snn-loihi in floats."""
@@ -82,8 +79,10 @@ def compared(part: Part, domain: str, dataset: xr.Dataset) -> Evaluation:
 def results(done: Evaluation, domain: str, data: Path) -> list[Row]:
     """The table, unknown starts first, best first; beside it RotorPy's flights with the domain's IMU."""
     imu, starts = SETS[DOMAINS[domain]].config().imu, ("unknown", "known")
-    slow = SLOW_FLIGHTS // len(AIRFRAMES)
-    abroad = on_rotorpy(lambda each: made(domain, each), data, imu, initial=starts, slow_flights=slow)
+    slow = SLOW_FLIGHTS // len(PLANS)
+    abroad = on_flights(
+        lambda each: made(domain, each), foreign(data, imu), initial=starts, slow_flights=slow
+    )
     rows = []
     for each in sorted(done.rows, key=lambda each: (each.initial != "unknown", each.mean_deg)):
         name = each.estimator + ("*" if each.flights < done.table["flights"].max() else "")
@@ -106,8 +105,7 @@ def elsewhere(data: Path) -> Iterator[tuple[str, str, xr.Dataset]]:
     """Other kinds of flight: what they are, the domain of the tuned parameters, and the dataset."""
     for name, (what, domain) in ELSEWHERE.items():
         yield what, domain, simulated(name, data)
-    for airframe in AIRFRAMES:
-        dataset = foreign(airframe, data)
+    for airframe, dataset in zip(PLANS, foreign(data), strict=True):
         for wind, what in ROTORPY_WINDS.items():
             chosen = np.flatnonzero(dataset["wind_model"] == wind)
             yield f"RotorPy's {airframe}, {what}", next(iter(DOMAINS)), dataset.isel(flight=chosen)

@@ -10,7 +10,6 @@ from pathlib import Path
 import xarray as xr
 
 from quadsim.imu.spec import ImuSpec, load_imu
-from scenarios.task.rotorpy_flights import AIRFRAMES as AIRFRAMES
 from scenarios.task.rotorpy_flights import DURATION_S, plans, rotorpy_flights
 
 ADIS16448 = load_imu("adis16448")
@@ -28,12 +27,6 @@ DESCRIPTION = (
 
 
 @cache
-def foreign(airframe: str, data: Path, imu: ImuSpec = ADIS16448) -> xr.Dataset:
-    """RotorPy's flights of an airframe as one of our datasets.
-
-    Args:
-        airframe: One of `AIRFRAMES`.
-        data: Folder of the datasets; flights are stored in `rotorpy/` in it.
-        imu: The IMU, which is switched on when recording begins.
-    """
-    return rotorpy_flights(PLANS[airframe], data / "rotorpy", imu)
+def foreign(data: Path, imu: ImuSpec = ADIS16448) -> list[xr.Dataset]:
+    """RotorPy's flights, a dataset for each of `PLANS`; they are stored in the folder of the datasets."""
+    return [rotorpy_flights(plans, data / "rotorpy", imu) for plans in PLANS.values()]

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from errors import on_flights, on_rotorpy, with_silenced
-from foreign import DESCRIPTION
+from errors import on_flights, with_silenced
+from foreign import DESCRIPTION, foreign
 from pages import Part, Row, Values, confirmed, span
 from simulated import simulated
 
@@ -63,17 +63,11 @@ def network_errors(data: Path) -> list[Row]:
     """Errors of the shipped networks from an unknown start, at home and in RotorPy, silenced beside them."""
     made = made_of(["att-snn", "att-rnn", *layered()], 200.0)
     home = on_flights(lambda _: made, [simulated("test", data)]).droplevel("initial")
-    abroad = on_rotorpy(lambda _: made, data).droplevel("initial")
+    abroad = on_flights(lambda _: made, foreign(data)).droplevel("initial")
     ends = {name: span(*Summary(home.sequences[name]).mean_interval()) for name in made}
     return [
-        (
-            f"`{name}`",
-            home.mean_deg[name],
-            ends[name],
-            home.silenced_deg[name],
-            with_silenced(abroad.loc[name]),
-        )
-        for name in made
+        (f"`{name}`", each.mean_deg, ends[name], each.silenced_deg, with_silenced(abroad.loc[name]))
+        for name, each in home.loc[list(made)].iterrows()
     ]
 
 

@@ -15,7 +15,7 @@ PX4 = {"vehicle": "px4-quad", "imu": "px4-mini", "trajectory": {"kind": "mix", "
 """What differs from the recipe of the Hummingbird: this airframe has less torque per inertia."""
 
 
-class Made(NamedTuple):
+class Generated(NamedTuple):
     """How a dataset is generated."""
 
     recipe: str
@@ -23,20 +23,25 @@ class Made(NamedTuple):
     seed: int
     changes: dict[str, Any] | None = None
     """What differs from the recipe."""
+    duration_s: float = DURATION_S
 
     def config(self) -> Recipe:
         """The recipe with its changes."""
         return changed(load_recipe(self.recipe), self.changes or {})
 
+    def at(self, path: Path) -> xr.Dataset:
+        """The dataset in this file."""
+        return open_dataset(generate(self.config(), self.flights, self.duration_s, path, seed=self.seed))
+
 
 SETS = {
-    "train": Made("hummingbird", 35, 0),
-    "test": Made("hummingbird", 16, 3),
-    "test-px4": Made("hummingbird", 16, 6, PX4),
-    "val": Made("hummingbird", 8, 2),
-    "val-turbulent": Made("turbulent", 4, 62),
-    "val-rough": Made("hummingbird", 8, 7, {"imu": "rough"}),
-    "val-px4": Made("hummingbird", 8, 26, PX4),
+    "train": Generated("hummingbird", 35, 0),
+    "test": Generated("hummingbird", 16, 3),
+    "test-px4": Generated("hummingbird", 16, 6, PX4),
+    "val": Generated("hummingbird", 8, 2),
+    "val-turbulent": Generated("turbulent", 4, 62),
+    "val-rough": Generated("hummingbird", 8, 7, {"imu": "rough"}),
+    "val-px4": Generated("hummingbird", 8, 26, PX4),
 }
 """Nothing was trained or tuned on these, but on `train`. The networks' epochs were chosen on the
 Hummingbird's of `val`."""
@@ -44,6 +49,4 @@ Hummingbird's of `val`."""
 
 def simulated(name: str, data: Path) -> xr.Dataset:
     """One of `SETS` from the folder of the datasets."""
-    made = SETS[name]
-    path = generate(made.config(), made.flights, DURATION_S, data / f"{name}.zarr", seed=made.seed)
-    return open_dataset(path)
+    return SETS[name].at(data / f"{name}.zarr")

@@ -59,8 +59,7 @@ def allan() -> list[Row]:
         for name, sensor, reading in zip(("gyro", "accel"), (gyro, accel), readings, strict=True):
             each = reading.transpose(0, 2, 1).reshape(-1, HOUR)
             found = [
-                [allantools.oadev(one, RATE_HZ, "freq", taus=[tau])[1][0] ** 2 for tau in taus]
-                for one in each
+                [allantools.oadev(one, RATE_HZ, "freq", taus=[t])[1][0] ** 2 for t in taus] for one in each
             ]
             over = np.sqrt(np.mean(found, axis=0)) / allan_theory(sensor, taus)
             rows.append((f"{preset} {name}", *(f"{each:.3f}" for each in over)))

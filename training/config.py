@@ -10,16 +10,10 @@ from pydantic import Field, ValidationError, model_validator
 
 from estimators.circuit.file import load_circuit
 from estimators.loihi.layers import WEIGHT_EXP_MIN
-from estimators.networks.weights_file import (
-    PAPER_SCALING,
-    InputScaling,
-    Neurons,
-    Outputs,
-    SetPointScaling,
-)
+from estimators.networks.weights_file import PAPER_SCALING, InputScaling, Layers, SetPointScaling
 from quadsim.config.ranges import Between, Share
 from quadsim.config.toml import Strict, describe, load_toml, merged, preset_names, shipped_folder
-from quadsim.flight.recipe import NamedImu
+from quadsim.flight.recipe import NamedImu, Variant
 from quadsim.held_out import unreserved
 from quadsim.imu.spec import ImuSpec, Sensor
 
@@ -79,24 +73,14 @@ class ControlSettings(Strict):
     """Flights by the student alone after each epoch, to choose the best by."""
 
 
-class TrainingRecipe(Strict):
+class TrainingRecipe(Layers):
     """How a network is trained: what a preset may set. The defaults are the paper's recipe."""
 
-    encoding: Neurons = 100
-    """Neurons of the encoding layer."""
-    hidden: Neurons = 100
-    """Neurons of the recurrent layer."""
-    quantised: bool = True
-    """Train the network that the chip will run, weights, decays and states rounded (att-snn)."""
-    recurrent_delay: Literal[1, 2] = 1
-    """1: the chip's time convention; 2: the paper's equations (att-snn)."""
     finest_exponent: Annotated[int, Between(WEIGHT_EXP_MIN, 0)] = 0
     """Least exponent of the weights into a hidden neuron: steps of 1/128 times 2 to that power, where all of
     the neuron's weights are small enough (att-snn)."""
     inputs: InputScaling = PAPER_SCALING
     """Scaling of the six inputs."""
-    outputs: Outputs = "roll-pitch"
-    """Roll and pitch as in the paper; angular-acceleration trains a controller, in flights of its own."""
     fixed_taus: bool = False
     """Train the weights alone and leave the time constants as they are at first (att-snn)."""
     optimisation: Literal["paper", "layered"] = "paper"
@@ -118,8 +102,6 @@ class TrainingRecipe(Strict):
     imu: NamedImu = ImuSpec(gyro=Sensor(noise=3.394e-4), accel=Sensor(noise=0.004, turn_on=0.196))
     """Sensor errors, drawn for every stream of an attitude estimator; the paper's are those of RotorS'
     ADIS16448."""
-    yaw_symmetry: bool = False
-    """Turn the body axes about z by any angle and mirror half of the streams: neither changes the physics."""
     control: ControlSettings = ControlSettings()
     """Flights of a controller."""
     huber_threshold: Annotated[float, Between(0.0, 10.0, "rad")] = 0.0
@@ -136,15 +118,11 @@ class TrainingRecipe(Strict):
         return OPTIMISATIONS[self.optimisation]
 
 
-class FlightSet(Strict):
+class FlightSet(Variant):
     """Flights of a recipe."""
 
-    recipe: str
-    """A shipped recipe or a TOML file."""
     flights: dict[str, Number] = Field(min_length=1)
     """How many of each vehicle."""
-    changes: dict[str, Any] = Field(default={})
-    """Keys of the recipe that differ."""
 
 
 class CircuitTraining(Strict):

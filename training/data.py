@@ -25,7 +25,7 @@ from quadsim.dataset.reading import open_dataset
 from quadsim.held_out import unreserved
 from quadsim.rotation import quat_rotate_inverse, roll_pitch_of_up
 
-from .augment import measured, turned_and_mirrored
+from .augment import measured
 from .config import TrainConfig
 from .init import initialise_random
 from .models import AttRNN, AttSNN
@@ -177,8 +177,6 @@ def windows(
         first = rng.integers(flights.gyro.shape[1] - length + 1, size=n)
         index = rows, first[:, None] + np.arange(length)
         rate, force, up = flights.ang_vel[index], flights.specific_force[index], flights.up[index]
-        if config.yaw_symmetry:
-            rate, force, up = turned_and_mirrored(rate, force, up, rng)
         gyro, accel = measured(config.imu, rate, force, flights.rate_hz, rng)
         return gyro, accel, roll_pitch_of_up(up).astype(np.float32)
 

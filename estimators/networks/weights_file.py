@@ -29,8 +29,6 @@ FORMAT = "3"
 ForceRange = Annotated[float, Between(1e-3, 1e4, "m/s²")]
 Neurons = Annotated[int, Between(1, 4096)]
 OutputScale = Annotated[float, Between(1e-6, 1e3, "rad")]
-Outputs = Literal["roll-pitch", "angular-acceleration"]
-"""Of an attitude estimator, or of a controller."""
 READINGS, SET_POINTS = 6, 3
 """Inputs of every network, gyroscope first; what a controller has besides: roll, pitch, yaw rate."""
 CONTROLLER = "control-"
@@ -70,23 +68,29 @@ class SetPointScaling(Strict):
     """Largest angular acceleration that is asked for about any axis [rad/s²]."""
 
 
-class NetworkConfig(Strict):
+class Layers(Strict):
+    """The layers of a network, trained or to be trained."""
+
+    encoding: Neurons = 100
+    """Neurons of the encoding layer (att-rnn: units of the first GRU)."""
+    hidden: Neurons = 100
+    """Neurons of the recurrent layer (att-rnn: units of the second GRU)."""
+    quantised: bool = True
+    """Weights, decays and states are whole numbers in the chip's ranges (att-snn)."""
+    recurrent_delay: Literal[1, 2] = 1
+    """Steps from a hidden spike to the hidden layer: 1 is the chip's convention, 2 the paper's (att-snn)."""
+    outputs: Literal["roll-pitch", "angular-acceleration"] = "roll-pitch"
+    """Roll and pitch [rad] of an attitude estimator, or of a controller, which is trained in flights of its
+    own, angular acceleration, body axes [rad/s²]."""
+
+
+class NetworkConfig(Layers):
     """How a network is run, and where its weights come from."""
 
     model: Literal["att-snn", "att-rnn"]
     rate_hz: SampleRate = 200.0
     """Samples per second that it was trained for."""
-    encoding: Neurons = 100
-    """Neurons of the encoding layer (att-rnn: units of the first GRU)."""
-    hidden: Neurons = 100
-    """Neurons of the recurrent layer (att-rnn: units of the second GRU)."""
     inputs: InputScaling = InputScaling()
-    quantised: bool = True
-    """Whole numbers in the chip's ranges (att-snn)."""
-    recurrent_delay: Literal[1, 2] = 1
-    """Steps from a hidden spike to the hidden layer; 1 is the chip's."""
-    outputs: Outputs = "roll-pitch"
-    """Roll and pitch [rad], or angular acceleration, body axes [rad/s²]."""
     output_scale: OutputScale = 1.0
     """Radians or rad/s² for an output potential of 1.0."""
     set_point: SetPointScaling | None = None

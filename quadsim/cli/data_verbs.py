@@ -35,16 +35,15 @@ def generate(
 
     Example: quadsim generate --flights 4 --duration 20 --out data/small.zarr
     """
-    from ..config.toml import merged, parse
+    from ..config.toml import parse
     from ..dataset.generation import generate as generate_dataset
     from ..dataset.reading import dataset_info
-    from ..flight.recipe import Recipe, load_recipe
+    from ..flight.recipe import changed_recipe
     from .conditions import Sampling
 
     changes = fields_of(set_)
     rate = parse({name: changes.pop(name) for name in ("rate",) if name in changes}, Sampling, "--set").rate
-    changed = merged(load_recipe(recipe).model_dump(mode="json"), changes)
-    config = parse(changed, Recipe, "--set")
+    config = changed_recipe(recipe, changes, "--set")
     with pool_of(workers) as (count, executor), progress_bar("generate", "flights") as progress:
         path = generate_dataset(
             config,

@@ -17,7 +17,7 @@ from ..config.toml import Strict
 from ..estimator import Readings
 from ..imu.spec import ImuSpec
 from ..seeding import Seed, child, vehicle_seeds
-from .vehicle_faults import LeverArm, PayloadDrop, VehicleFault
+from .vehicle_faults import Event, LeverArm, PayloadDrop, VehicleFault
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
@@ -28,6 +28,13 @@ Change: TypeAlias = Callable[[Array, Counts], None]
 Randoms = list[np.random.Generator]
 """One for each vehicle."""
 BiasDeg: TypeAlias = Annotated[float, Between(-4000.0, 4000.0, "°/s")]
+
+
+class Lasting(Strict):
+    """A fault that stays."""
+
+    at_s: Instant = 0.0
+    """From when on [s]."""
 
 
 class OnAxes(Strict):
@@ -54,33 +61,29 @@ def _added(gyro_deg: ArrayLike, accel: ArrayLike, after: int, length: float = 1.
     return change
 
 
-class GyroBiasStep(Strict):
+class GyroBiasStep(Event):
     """The gyroscope's bias jumps."""
 
     kind: Literal["gyro-bias-step"]
     bias_deg: tuple[BiasDeg, BiasDeg, BiasDeg]
     """Change of the bias, body axes [deg/s]."""
-    at_s: Instant = 5.0
-    """When [s]."""
 
     def _change(self, rate_hz: float, randoms: Randoms) -> Change:
         return _added(self.bias_deg, np.zeros(3), round(self.at_s * rate_hz) - 1)
 
 
-class AccelBiasStep(Strict):
+class AccelBiasStep(Event):
     """The accelerometer's bias jumps."""
 
     kind: Literal["accel-bias-step"]
     bias: ForceVector
     """Change of the bias, body axes [m/s²]."""
-    at_s: Instant = 5.0
-    """When [s]."""
 
     def _change(self, rate_hz: float, randoms: Randoms) -> Change:
         return _added(np.zeros(3), self.bias, round(self.at_s * rate_hz) - 1)
 
 
-class Vibration(OnAxes):
+class Vibration(OnAxes, Lasting):
     """A vibration of the whole sensor, its phases drawn for each seed; above half the rate it aliases."""
 
     kind: Literal["vibration"]
@@ -90,8 +93,6 @@ class Vibration(OnAxes):
     """Amplitude on each axis of the accelerometer [m/s²]."""
     gyro_deg: RateDeg = 0.0
     """Amplitude on each axis of the gyroscope [deg/s]."""
-    at_s: Instant = 0.0
-    """From when on [s]."""
 
     def _change(self, rate_hz: float, randoms: Randoms) -> Change:
         start, step = round(self.at_s * rate_hz), 2 * np.pi * self.frequency_hz / rate_hz
@@ -104,7 +105,7 @@ class Vibration(OnAxes):
         return change
 
 
-class Dropout(OnSensor):
+class Dropout(OnSensor, Lasting):
     """Samples are lost: each with a probability, for a time of its own length. The estimator gets NaN."""
 
     kind: Literal["dropout"]
@@ -112,8 +113,6 @@ class Dropout(OnSensor):
     """Chance that a dropout begins at a sample."""
     length_s: Instant = 0.0
     """Length of a dropout [s]; 0 for single samples."""
-    at_s: Instant = 0.0
-    """From when on [s]."""
 
     def _change(self, rate_hz: float, randoms: Randoms) -> Change:
         start, length = round(self.at_s * rate_hz), max(round(self.length_s * rate_hz), 1)
@@ -129,12 +128,10 @@ class Dropout(OnSensor):
         return change
 
 
-class Stuck(OnSensor):
+class Stuck(OnSensor, Event):
     """The sensor repeats its last sample for a while."""
 
     kind: Literal["stuck"]
-    at_s: Instant = 5.0
-    """When [s]."""
     length_s: Duration = 0.2
     """For how long [s]."""
     every_s: Duration | None = None
@@ -172,7 +169,7 @@ class Saturation(OnAxes):
         return change
 
 
-class BiasRamp(Strict):
+class BiasRamp(Lasting):
     """The biases drift, as while a sensor warms up."""
 
     kind: Literal["bias-ramp"]
@@ -180,8 +177,6 @@ class BiasRamp(Strict):
     """Change of the gyroscope's bias at the end, body axes [deg/s]."""
     accel: ForceVector = (0.0, 0.0, 0.0)
     """Change of the accelerometer's bias at the end, body axes [m/s²]."""
-    at_s: Instant = 0.0
-    """When it begins [s]."""
     length_s: Duration = 10.0
     """How long it takes [s]."""
 

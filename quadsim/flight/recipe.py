@@ -1,7 +1,7 @@
 """Recipes: what a dataset's flights are made of, as a TOML file of names and numbers."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 
 from ..config.ranges import Between, Engine
-from ..config.toml import Model, Strict, load_toml, parse
+from ..config.toml import Model, Strict, load_toml, merged, parse
 from ..imu.spec import ImuSpec, load_imu
 from ..trajectory.specs import Mix, Trajectory
 from ..vehicle import Randomisation, Vehicle, load_vehicle
@@ -86,6 +86,29 @@ class Recipe(Strict):
     """Simulated before recording, so that flights begin in motion [s]."""
 
 
+class Variant(Strict):
+    """A recipe with changes."""
+
+    recipe: str
+    """A shipped recipe, or a TOML file."""
+    changes: dict[str, Any] = Field(default={})
+    """Keys of the recipe that differ; of a table, only those that are named change."""
+
+
 def load_recipe(source: str | Path) -> Recipe:
     """Read a recipe: a shipped name ("hummingbird") or a TOML file, from whose folder its paths count."""
     return load_toml(source, "recipes", Recipe)
+
+
+def changed_recipe(source: str | Path, changes: Mapping[str, Any], label: str) -> Recipe:
+    """A recipe with changes, as those of a `Variant`.
+
+    Args:
+        source: As `load_recipe` takes it.
+        changes: Keys that differ.
+        label: What to call the changes in an error.
+
+    Raises:
+        ValueError: One line with the label, the key, its value and what is allowed.
+    """
+    return parse(merged(load_recipe(source).model_dump(mode="json"), changes), Recipe, label)

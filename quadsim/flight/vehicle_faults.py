@@ -12,6 +12,13 @@ from ..plant import Plant
 from ..vehicle import MAX_ROTORS
 
 
+class Event(Strict):
+    """A fault that happens at one instant."""
+
+    at_s: Instant = 5.0
+    """When [s]."""
+
+
 class LeverArm(Strict):
     """The IMU sits off the centre of mass, and no estimator knows it."""
 
@@ -20,17 +27,15 @@ class LeverArm(Strict):
     """Where, on top of the IMU's own, from the centre of mass in body axes [m]."""
 
 
-class PayloadDrop(Strict):
+class PayloadDrop(Event):
     """The vehicle starts with a payload that its controller does not know of, and drops it."""
 
     kind: Literal["payload-drop"]
     mass: Mass
     """Mass of the payload [kg]."""
-    at_s: Instant = 5.0
-    """When it falls [s]."""
 
 
-class RotorLoss(Strict):
+class RotorLoss(Event):
     """One rotor gives less thrust from some time on: a chipped blade, a tired motor."""
 
     kind: Literal["rotor-loss"]
@@ -38,8 +43,6 @@ class RotorLoss(Strict):
     """Which, in the order of the vehicle's file."""
     effect: Share = 0.7
     """Thrust left, as a share of a healthy rotor's."""
-    at_s: Instant = 5.0
-    """When [s]."""
 
 
 class LowBattery(Strict):

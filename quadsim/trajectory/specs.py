@@ -15,40 +15,42 @@ MOST_POINTS = 10_000
 Multiple = Annotated[int, Between(-100, 100)]
 
 
-class Hover(Strict):
+class Placed(Strict):
+    """A trajectory that is somewhere."""
+
+    position: Position = Field(default=(0.0, 0.0, 2.0), description="Its start or its centre [m].")
+
+
+class Hover(Placed):
     """Stay at one place."""
 
     kind: Literal["hover"] = "hover"
-    position: Position = Field(default=(0.0, 0.0, 2.0), description="Where [m].")
     yaw_deg: Heading = Field(default=0.0, description="Heading [deg].")
 
 
-class Step(Strict):
+class Step(Placed):
     """Hover, then jump: the set-point moves at once, there and back."""
 
     kind: Literal["step"] = "step"
-    position: Position = Field(default=(0.0, 0.0, 2.0), description="Start [m].")
     offset: Position = Field(default=(2.0, 0.0, 0.0), description="Size of the jump [m].")
     yaw_deg: Heading = Field(default=0.0, description="Jump of the heading [deg].")
     at_s: Instant = Field(default=2.0, description="Time of the first jump [s].")
     hold_s: Duration = Field(default=6.0, description="Time until the next jump, back or there again [s].")
 
 
-class Move(Strict):
+class Move(Placed):
     """From one place to another and to stay there, rest to rest with minimum snap: take-off and landing."""
 
     kind: Literal["move"] = "move"
-    position: Position = Field(default=(0.0, 0.0, 2.0), description="Start [m].")
     offset: Position = Field(default=(0.0, 0.0, 1.0), description="How far [m].")
     at_s: Instant = Field(default=2.0, description="When it begins [s].")
     length_s: Manoeuvre = Field(default=4.0, description="How long it takes [s].")
 
 
-class Lissajous(Strict):
+class Lissajous(Placed):
     """Sines on the three axes; frequencies 1 : 2 draw a figure of eight. It grows over one period."""
 
     kind: Literal["lissajous"] = "lissajous"
-    position: Position = Field(default=(0.0, 0.0, 2.0), description="Centre [m].")
     amplitude: Position = Field(default=(3.0, 1.5, 0.0), description="Amplitudes [m].")
     ratio: tuple[Multiple, Multiple, Multiple] = Field(
         default=(1, 2, 1), description="Multiples of 1 / period."

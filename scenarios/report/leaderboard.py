@@ -2,6 +2,7 @@
 
 import base64
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from io import BytesIO
 from itertools import groupby
 from pathlib import Path
@@ -13,16 +14,17 @@ from matplotlib.figure import Figure
 
 from estimators.appearance import looks
 from estimators.metrics import Summary
-from quadsim.config.toml import preset_names
 from quadsim.runs.files import write_whole
 
 from ..bench.ranking import ranked
+from ..bench.results import wilson
 from ..task.entry import FILE, Entry, load_entry
-from ..task.specification import load_task
 from .page import script
 from .template import render
 
 ERROR = "error_deg"
+TITLES = {"home": "quadsim", "rotorpy": "RotorPy", "broad": "BROAD, real"}
+"""Headings of parts where the name is not one."""
 FOOTER = (
     "Entries are ranked by the number of flights without a crash, then by the time to the crash, then by "
     "the error on the flights that all entries with as many survived flights completed. 'Better than the "
@@ -94,19 +96,14 @@ def write_leaderboard(path: Path, entries: Sequence[Entry]) -> Path:
 
 def flights_of(entries: Sequence[Entry]) -> pd.DataFrame:
     """The closed-loop flights of entries, a row each."""
-    rows = [
-        {"estimator": each.card.name, **flight.model_dump()}
-        for each in entries
-        if each.loop
-        for flight in each.loop.flights
-    ]
+    rows = [{"estimator": each.card.name, **asdict(flight)} for each in entries for flight in each.flights]
     columns = ["estimator", "scenario", "seed", "cause", "flown_s", ERROR]
     return pd.DataFrame(rows, columns=columns).astype({ERROR: float})
 
 
 def standing(entries: Sequence[Entry], flights: pd.DataFrame) -> list[str]:
     """Names of the entries that are ranked, the leader first."""
-    names = [each.card.name for each in entries if not each.reasons and each.loop]
+    names = [each.card.name for each in entries if not each.reasons and each.flights]
     planned = list(dict.fromkeys(zip(flights["scenario"], flights["seed"], strict=True)))
     own: Any = flights[flights["estimator"].isin(names)]
     return [place.name for place in ranked(own, planned, ERROR)]
@@ -138,7 +135,7 @@ def _track(track: str, entries: Sequence[Entry], flights: pd.DataFrame) -> dict[
             low, high = better.mean_interval()
             shares = f"{100 * better.mean:.0f} % ({100 * low:.0f}–{100 * high:.0f})"
             cells["better than the leader"] = Cell(shares, better.mean)
-        cells |= _part_cells(entry, _titles(entry.version)) | _cost_cells(entry)
+        cells |= _part_cells(entry) | _cost_cells(entry)
         why = f"not ranked: it {entry.reasons[0]}" if entry.reasons else ""
         rows.append({"entry": entry, "cells": cells, "why": why})
     headings = list(dict.fromkeys(heading for row in rows for heading in row["cells"]))
@@ -146,33 +143,30 @@ def _track(track: str, entries: Sequence[Entry], flights: pd.DataFrame) -> dict[
 
 
 def _loop_cells(entry: Entry) -> dict[str, Cell]:
-    loop = entry.loop
-    if loop is None:
+    flown, crashes = len(entry.flights), sum(flight.cause != "" for flight in entry.flights)
+    if not flown:
         return {"crashed": Cell("–", None), "error in closed loop [°]": Cell("–", None)}
-    low, high = 100 * loop.crash_low, 100 * loop.crash_high
-    crashed = f"{loop.crashes} of {len(loop.flights)} ({low:.1f}–{high:.1f} %)"
-    share = loop.crashes / len(loop.flights) if loop.flights else None
-    error = Cell("–", None)
-    if loop.error_deg is not None:
-        error = Cell(f"{loop.error_deg:.2f} ({loop.low:.2f}–{loop.high:.2f})", loop.error_deg)
-    return {"crashed": Cell(crashed, share), "error in closed loop [°]": error}
+    low, high = wilson(crashes, flown)
+    crashed = Cell(f"{crashes} of {flown} ({100 * low:.1f}–{100 * high:.1f} %)", crashes / flown)
+    return {"crashed": crashed, "error in closed loop [°]": _mean_cell(loop_errors(entry))}
 
 
-def _titles(version: str) -> dict[str, str]:
-    """Titles of the parts of a shipped task; a user's own task has the names of its parts."""
-    if version not in preset_names("tasks"):
-        return {}
-    return {name: part.title for name, part in load_task(version).parts.items()}
+def loop_errors(entry: Entry) -> Summary | None:
+    """Mean error of each scenario over its flights without a crash [°]; None where there is none."""
+    survived: Any = flights_of([entry]).query("cause == ''").groupby("scenario", sort=False)
+    means = survived[ERROR].mean().dropna().to_numpy()
+    return Summary(means) if means.size else None
 
 
-def _part_cells(entry: Entry, titles: Mapping[str, str]) -> dict[str, Cell]:
-    cells = {}
-    for name, part in entry.parts.items():
-        heading = f"{titles.get(name, name)} [°]"
-        cells[heading] = Cell("–", None, part.note)
-        if part.mean is not None:
-            cells[heading] = Cell(f"{part.mean:.2f} ({part.low:.2f}–{part.high:.2f})", part.mean)
-    return cells
+def _mean_cell(errors: Summary | None, title: str = "") -> Cell:
+    if errors is None:
+        return Cell("–", None, title)
+    low, high = errors.mean_interval()
+    return Cell(f"{errors.mean:.2f} ({low:.2f}–{high:.2f})", errors.mean, title)
+
+
+def _part_cells(entry: Entry) -> dict[str, Cell]:
+    return {f"{TITLES.get(k, k)} [°]": _mean_cell(part.errors, part.note) for k, part in entry.parts.items()}
 
 
 def _cost_cells(entry: Entry) -> dict[str, Cell]:
@@ -212,14 +206,19 @@ def profile(flights: pd.DataFrame, names: Sequence[str]) -> Figure:
 def fronts(entries: Sequence[Entry]) -> Figure:
     """Error in closed loop against modelled energy and against time; the line joins what nothing beats."""
     figure = Figure(figsize=(10.0, 4.2), layout="constrained")
-    shown = [each for each in entries if not each.reasons and each.loop and each.cost]
-    drawn = looks([each.card.name for each in shown])
+    errors = {each.card.name: loop_errors(each) for each in entries if not each.reasons}
+    shown = [
+        (each.cost, own.mean, each.card.name)
+        for each in entries
+        if each.cost and (own := errors.get(each.card.name))
+    ]
+    drawn = looks([name for _, _, name in shown])
     panels: Mapping[str, Any] = {
         "modelled energy per sample [nJ]": lambda cost: cost.nanojoules,
         "time per sample in Python [µs]": lambda cost: cost.ns / 1e3,
     }
     for axes, (label, of) in zip(figure.subplots(1, 2), panels.items(), strict=True):
-        found = [(of(each.cost), each.loop and each.loop.error_deg, each.card.name) for each in shown]
+        found = [(of(cost), error, name) for cost, error, name in shown]
         points: list[Any] = sorted(point for point in found if None not in point)
         for cost, error, name in points:
             axes.plot(cost, error, drawn[name].marker, color=drawn[name].colour)

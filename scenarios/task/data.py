@@ -10,11 +10,10 @@ import numpy as np
 import xarray as xr
 
 from estimators.evaluation.flights import Flights, load_flights, vehicle_of
-from quadsim.config.toml import merged, parse
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
 from quadsim.estimator import Readings
-from quadsim.flight.recipe import Recipe, load_recipe
+from quadsim.flight.recipe import changed_recipe
 from quadsim.imu.spec import load_imu
 from quadsim.logs import read_log
 from quadsim.rotation import roll_pitch_from_quat
@@ -22,7 +21,7 @@ from quadsim.runs.files import replace
 from quadsim.runs.fingerprint import file_digest, fingerprint
 from quadsim.vehicle import Vehicle
 
-from .specification import Foreign, Progress, Recorded, Simulated, Task
+from .specification import BROAD, ROTORPY, Progress, Task
 
 ENDINGS = (".hdf5", ".mat", ".npz")
 """Of BROAD's trials; where a folder has one trial in several forms, the first counts."""
@@ -53,21 +52,19 @@ def make_data(
         ValueError: A part is not what the task says: its digest differs.
     """
     found = {}
-    for k, (name, part) in enumerate(task.parts.items()):
-        progress(k, len(task.parts), part.title)
-        match part:
-            case Simulated():
-                changed = merged(load_recipe(part.recipe).model_dump(mode="json"), part.changes)
-                generate(
-                    parse(changed, Recipe, f"{task.version}: {name}"), part.flights, part.duration_s,
-                    folder / f"{name}.zarr", task.seed_of(name), task.rate_hz, workers, overwrite=True,
-                    held_out=True,
-                )  # fmt: skip
-            case Foreign():
-                for _ in foreign(task, name, part, folder, workers):
-                    pass
-            case Recorded():
-                convert(recordings, folder / name, task.rate_hz)
+    for k, name in enumerate(task.parts):
+        progress(k, len(task.parts), name)
+        if name == BROAD:
+            convert(recordings, folder / name, task.rate_hz)
+        elif name == ROTORPY:
+            dict(foreign(task, folder, workers))
+        else:
+            part = task.recipes[name]
+            recipe = changed_recipe(part.recipe, part.changes, f"{task.version}: {name}")
+            generate(
+                recipe, part.flights, part.duration_s, folder / f"{name}.zarr", task.seed_of(name),
+                task.rate_hz, workers, overwrite=True, held_out=True,
+            )  # fmt: skip
         found[name] = digest_of(groups(task, name, folder))
     progress(len(task.parts), len(task.parts), "")
     return found
@@ -75,8 +72,7 @@ def make_data(
 
 def differing(task: Task, digests: Mapping[str, str]) -> list[str]:
     """Parts whose data are not those of the task."""
-    wanted = {name: getattr(part, "digest", "") for name, part in task.parts.items()}
-    return [name for name, digest in wanted.items() if digest and digest != digests[name]]
+    return [name for name, digest in task.digests.items() if digest != digests.get(name)]
 
 
 def digest_of(found: Iterator[Group]) -> str:
@@ -91,27 +87,24 @@ def digest_of(found: Iterator[Group]) -> str:
 
 def groups(task: Task, name: str, folder: Path) -> Iterator[Group]:
     """The flights of a part; none of BROAD where the user has no folder of it."""
-    part = task.parts[name]
-    match part:
-        case Simulated():
-            yield _group(open_dataset(folder / f"{name}.zarr"), part.skip_s, "flight")
-        case Foreign():
-            for airframe, dataset in foreign(task, name, part, folder):
-                yield _group(dataset, part.skip_s, airframe)
-        case Recorded():
-            for file in sorted((folder / name).glob("*.npz")):
-                yield _trial(file, task.rate_hz)
+    if name == BROAD:
+        for file in sorted((folder / name).glob("*.npz")):
+            yield _trial(file, task.rate_hz)
+    elif name == ROTORPY:
+        for airframe, dataset in foreign(task, folder):
+            yield _group(dataset, task.skip_s, airframe)
+    else:
+        yield _group(open_dataset(folder / f"{name}.zarr"), task.skip_s, "flight")
 
 
-def foreign(
-    task: Task, name: str, part: Foreign, folder: Path, workers: int | None = 1
-) -> Iterator[tuple[str, xr.Dataset]]:
+def foreign(task: Task, folder: Path, workers: int | None = 1) -> Iterator[tuple[str, xr.Dataset]]:
     """Flights of RotorPy by airframe."""
-    from .rotorpy_flights import plans, rotorpy_flights
+    from .rotorpy_flights import AIRFRAMES, plans, rotorpy_flights
 
-    for k, airframe in enumerate(part.airframes):
-        planned, imu = plans(airframe, task.seed_of(name) + 10 * k), load_imu(part.imu)
-        yield airframe, rotorpy_flights(planned, folder / name, imu, part.duration_s, workers)
+    assert task.rotorpy_s is not None
+    for k, airframe in enumerate(AIRFRAMES):
+        planned, imu = plans(airframe, task.seed_of(ROTORPY) + 10 * k), load_imu("adis16448")
+        yield airframe, rotorpy_flights(planned, folder / ROTORPY, imu, task.rotorpy_s, workers)
 
 
 def convert(source: Path | None, folder: Path, rate_hz: float) -> None:

@@ -1,28 +1,25 @@
 """An entry of a task: its card, what it got, and the file that says so."""
 
+from dataclasses import dataclass, field
 from importlib.metadata import packages_distributions, version
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Any, get_args
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from estimators.circuit.file import is_circuit, load_circuit
 from estimators.circuit.parameters import LEARNT
 from estimators.custom import GROUP, is_custom, own_sources
+from estimators.metrics import Summary
 from estimators.networks.weights_file import load_network, shipped_names
 from estimators.registry import NETWORKS, SHIPPED, is_weights, needs_vehicle, parameters
-from quadsim.config.ranges import Between, SampleRate, Share
-from quadsim.config.toml import Strict, nearest
+from quadsim.config.toml import nearest
 from quadsim.estimator import OTHERS, accepted_sensors
 from quadsim.own import load_own
 from quadsim.runs.fingerprint import content_digest, fingerprint, read_source
 
 from ..bench.experiment import Knowledge
-
-Angle = Annotated[float, Between(0.0, 180.0, "°")]
-Count = Annotated[int, Between(0, 2**63 - 1)]
-Size = Annotated[float, Between(0.0, 1e15)]
 
 FILE = "entry.json"
 PACKAGED = "filters.packaged:"
@@ -31,7 +28,8 @@ TAKE_ROTOR_SPEEDS = ("imm",)
 """Estimators that ship and use them; every other filter accepts them and does not."""
 
 
-class Card(Strict):
+@dataclass(frozen=True)
+class Card:
     """What an entry is, and what it is given."""
 
     name: str
@@ -40,13 +38,13 @@ class Card(Strict):
     """As `--estimator` was given it."""
     about: str
     """The first line of its class's docstring."""
-    rate_hz: SampleRate
+    rate_hz: float
     """Samples per second."""
     given: tuple[str, ...]
     """Beside the IMU: airframe, initial attitude, rotor_vel, mag; the tracks follow these."""
-    parameter_count: Count
+    parameter_count: int
     """Numbers that were learnt or tuned: a class says `parameter_count`, else those that it declares."""
-    operations: Size | None
+    operations: float | None
     """Operations per sample: stated by the class in `operations`, or else counted in its Python source."""
     packages: dict[str, str]
     """Installed packages that its file imports, and their versions."""
@@ -68,65 +66,54 @@ class Card(Strict):
         return tuple(each for each in get_args(Knowledge) if each in self.given)
 
 
-class Cost(Strict):
+@dataclass(frozen=True)
+class Cost:
     """What a sample of one vehicle costs."""
 
-    ns: Size
+    ns: float
     """Time in Python, median over samples [ns]."""
-    footprint: Count
+    footprint: int
     """State and parameters [bytes], as NeuroBench's footprint: numbers in arrays that the instance holds."""
-    operations: Size | None
+    operations: float | None
     """Of a network on the chip synaptic events (NeuroBench: effective accumulates); else operations on
     numbers; None where they are not known."""
-    nanojoules: Size | None
+    nanojoules: float | None
     """Modelled energy [nJ]."""
     model: str
     """How operations and energy were found."""
 
 
-class PartScore(Strict):
+@dataclass(frozen=True)
+class PartScore:
     """One part without a loop."""
 
-    values: dict[str, Angle]
+    values: dict[str, float] = field(default_factory=dict)
     """RMS of the inclination error of each flight or trial [deg]."""
-    mean: Angle | None = None
-    low: Angle | None = None
-    """Ends of the bootstrap 95 % interval of the mean."""
-    high: Angle | None = None
     note: str = ""
     """Why there is no mean."""
     flaw: str = ""
     """Why the entry must not be ranked."""
 
+    @property
+    def errors(self) -> Summary | None:
+        """The errors, where they have a mean."""
+        return Summary(np.array(list(self.values.values()))) if self.values and not self.note else None
 
-class LoopFlight(Strict):
+
+@dataclass(frozen=True)
+class LoopFlight:
     """A flight in closed loop."""
 
     scenario: str
-    seed: Count
+    seed: int
     cause: str
     """Of the crash; empty without one."""
-    flown_s: Size
-    error_deg: Angle | None
+    flown_s: float
+    error_deg: float | None
 
 
-class LoopScore(Strict):
-    """The closed loop."""
-
-    flights: tuple[LoopFlight, ...]
-    planned: Count
-    """Flights that were to be flown; those that are missing count as lost."""
-    crashes: Count
-    crash_low: Share
-    """Ends of the 95 % Wilson interval of the share."""
-    crash_high: Share
-    error_deg: Angle | None
-    """Mean over scenarios, of flights without a crash."""
-    low: Angle | None
-    high: Angle | None
-
-
-class Entry(Strict):
+@dataclass(frozen=True)
+class Entry:
     """A file entry.json."""
 
     version: str
@@ -140,11 +127,16 @@ class Entry(Strict):
     data: dict[str, str]
     """Digests of the parts' data."""
     card: Card
-    cost: Cost | None = None
-    parts: dict[str, PartScore] = Field(default_factory=dict)
-    loop: LoopScore | None = None
-    reasons: tuple[str, ...] = ()
+    cost: Cost | None
+    parts: dict[str, PartScore]
+    flights: tuple[LoopFlight, ...]
+    """Of the closed loop; none where it was not flown."""
+    reasons: tuple[str, ...]
     """Why it is not ranked, each to follow its name; empty if it is."""
+
+
+ENTRY = TypeAdapter(Entry)
+"""Writes an entry as JSON, and reads it."""
 
 
 def card_of(source: str, rate_hz: float) -> Card:
@@ -193,7 +185,7 @@ def load_entry(path: Path) -> Entry:
         ValueError: It is not one.
     """
     try:
-        return Entry.model_validate_json(path.read_bytes())
+        return ENTRY.validate_json(path.read_bytes())
     except ValidationError as error:
         raise ValueError(f"{path}: not an entry of a task; run it again") from error
 

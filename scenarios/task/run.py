@@ -2,16 +2,16 @@
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
+from dataclasses import asdict, fields
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 from pydantic import TypeAdapter
 
 from estimators import create
 from estimators.evaluation.comparison import errors_of
-from estimators.metrics import Summary, inclination_rmse
+from estimators.metrics import inclination_rmse
 from estimators.running import run_checked
 from quadsim.runs.console import Bar
 from quadsim.runs.files import alone, write_whole
@@ -19,12 +19,12 @@ from quadsim.runs.fingerprint import code_digest, fingerprint
 from quadsim.runs.pool import run_all
 
 from ..bench.cell import FlightSettings
-from ..bench.results import Results, records
+from ..bench.results import records
 from ..bench.runner import bench, flight_code
 from .data import Group, differing, given_start, groups, make_data
-from .entry import FILE, Card, Entry, LoopFlight, LoopScore, PartScore, card_of, digest_of_entry
+from .entry import ENTRY, FILE, Card, Entry, LoopFlight, PartScore, card_of, digest_of_entry
 from .examination import Examined, deadline, examine, opened_files, watching
-from .specification import Task
+from .specification import BROAD, Task
 
 EXAMINED, SCORE = TypeAdapter(Examined), TypeAdapter(PartScore)
 LONGEST = 20.0
@@ -80,20 +80,20 @@ def run_task(
         scored = _scored(task, entered, examined, data, about, workers, executor, progress)
         entries = []
         for each in entered:
-            found, loop, flaws = examined[each.folder], None, list[str]()
+            found, flown, flaws = examined[each.folder], (), list[str]()
             if found.runs:
                 run = partial(progress, note=f"{each.card.name}, closed loop")
-                loop, flaws = fly_entry(task, each, workers, executor, run)
+                flown, flaws = fly_entry(task, each, workers, executor, run)
             parts = scored.get(each.folder, {})
-            flaws += [f"{part.flaw} ({task.parts[name].title})" for name, part in parts.items() if part.flaw]
+            flaws += [f"{part.flaw} ({name})" for name, part in parts.items() if part.flaw]
             flaws += [
                 f"ran on data that differ from the task's ({name})" for name in differing(task, digests)
             ]
             entry = Entry(
-                **about, entry=each.digest, card=each.card, cost=found.cost, parts=parts, loop=loop,
-                reasons=tuple(dict.fromkeys([*found.reasons, *flaws])),
+                **about, entry=each.digest, card=each.card, cost=found.cost, parts=parts,
+                flights=flown, reasons=tuple(dict.fromkeys([*found.reasons, *flaws])),
             )  # fmt: skip
-            write_whole(each.folder / FILE, entry.model_dump_json(indent=1))
+            write_whole(each.folder / FILE, ENTRY.dump_json(entry, indent=1))
             entries.append(entry)
     return entries
 
@@ -103,7 +103,7 @@ def _examined(
 ) -> dict[Path, Examined]:
     """What was found of each entry, one after the other: times are measured."""
     found = {}
-    flights = next(groups(task, next(iter(task.parts)), data)).flights
+    flights = next(groups(task, task.parts[0], data)).flights
     for k, each in enumerate(entered):
         progress(k, len(entered), f"{each.card.name}, checks")
         file = _file(each, "checks", about)
@@ -131,18 +131,18 @@ def _scored(
     jobs = {key: (task, key[1], by_name[key[0]].card, data) for key in files if key not in done}
     for key, score in run_all(score_part, jobs, workers, executor):
         if isinstance(score, BaseException):  # the worker itself died
-            score = PartScore(values={}, flaw=f"did not run: {type(score).__name__}: {score}")
+            score = PartScore(flaw=f"did not run: {type(score).__name__}: {score}")
         else:
             write_whole(files[key], SCORE.dump_json(score))
         done[key] = score
-        progress(len(done), len(files), f"{key[0]}, {task.parts[key[1]].title}")
+        progress(len(done), len(files), ", ".join(key))
     return {each.folder: {part: done[name, part] for part in task.parts} for name, each in by_name.items()}
 
 
 def _file(entered: Entered, what: str, about: Mapping[str, Any]) -> Path:
     """Where a finished run of an entry is: on a part of the data, or of the checks."""
     data = about["data"].get(what)
-    digest = fingerprint(what, about["task"], about["code"], data, entered.digest, entered.card.model_dump())
+    digest = fingerprint(what, about["task"], about["code"], data, entered.digest, asdict(entered.card))
     return entered.folder / "runs" / f"{what}-{digest[:16]}.json"
 
 
@@ -156,26 +156,22 @@ def _stored(file: Path, adapter: TypeAdapter[Any]) -> Any:
 
 def score_part(task: Task, name: str, card: Card, data: Path) -> PartScore:
     """Errors of an entry on a part."""
-    part, found = task.parts[name], list(groups(task, name, data))
+    found = list(groups(task, name, data))
     values: dict[str, float] = {}
     flaws: list[str] = []
     if not found:
-        return PartScore(values={}, note="no folder of recordings was given")
+        return PartScore(note="no folder of recordings was given")
     if "airframe" in card.given and any(group.vehicle is None for group in found):
-        return PartScore(values={}, note="there is no airframe to be given")
+        return PartScore(note="there is no airframe to be given")
     for group in found:
         try:
             values |= _errors(task, card, group, data, flaws)
         except (ValueError, OSError) as error:
-            return PartScore(values=values, note="it failed", flaw=f"did not run: {error}")
-    if part.source == "broad" and len(values) < part.trials:
-        note = f"{len(values)} of {part.trials} trials"
-        return PartScore(values=values, note=note, flaw="; ".join(dict.fromkeys(flaws)))
-    errors = Summary(np.array(list(values.values())))
-    low, high = errors.mean_interval()
-    return PartScore(
-        values=values, mean=errors.mean, low=low, high=high, flaw="; ".join(dict.fromkeys(flaws))
-    )
+            return PartScore(values, "it failed", f"did not run: {error}")
+    note = ""
+    if name == BROAD and len(values) < task.broad_trials:
+        note = f"{len(values)} of {task.broad_trials} trials"
+    return PartScore(values, note, "; ".join(dict.fromkeys(flaws)))
 
 
 def _errors(task: Task, card: Card, group: Group, data: Path, flaws: list[str]) -> dict[str, float]:
@@ -197,36 +193,17 @@ def _errors(task: Task, card: Card, group: Group, data: Path, flaws: list[str]) 
 
 def fly_entry(
     task: Task, each: Entered, workers: int | None, executor: Executor | None, progress: Any
-) -> tuple[LoopScore, list[str]]:
-    """The closed loop of an entry, and why it must not be ranked."""
+) -> tuple[tuple[LoopFlight, ...], list[str]]:
+    """The flights of an entry in closed loop, and why it must not be ranked."""
     experiment = task.experiment(each.card.knowledge)
     settings = FlightSettings(experiment.seeds, experiment.seed or 0, task.rate_hz)
     results = bench(
         None, [each.card.source], each.folder / "closed-loop", settings,
         experiment=experiment, workers=workers, executor=executor, progress=progress,
     )  # fmt: skip
-    return loop_score(results), _flaws(results)
-
-
-def _flaws(results: Results) -> list[str]:
-    failed = [cell for cell in results.cells if cell.reason]
-    flaws = (
-        [f"did not fly in {len(failed)} of {len(results.cells)} scenarios: {failed[0].reason}"]
-        if failed
-        else []
-    )
-    return flaws + list(dict.fromkeys(cell.flaw for cell in results.cells if cell.flaw))
-
-
-def loop_score(results: Results) -> LoopScore:
-    """What the leaderboard needs of a closed loop that one entry flew."""
-    (total,) = results.totals.values()
-    means = np.array([row.error_deg for row in results.rows if row.error_deg is not None])
-    low, high = Summary(means).mean_interval() if means.size else (None, None)
-    flown = records(results.flights.reindex(columns=list(LoopFlight.model_fields)))
-    flights = tuple(LoopFlight(**row._asdict()) for row in flown)
-    return LoopScore(
-        flights=flights, planned=len(results.planned), crashes=int(total.crashes),
-        crash_low=float(total.crash_low), crash_high=float(total.crash_high), error_deg=total.error_deg,
-        low=low, high=high,
-    )  # fmt: skip
+    names = [each.name for each in fields(LoopFlight)]
+    flown = tuple(LoopFlight(**row._asdict()) for row in records(results.flights.reindex(columns=names)))
+    flaws = list(dict.fromkeys(cell.flaw for cell in results.cells if cell.flaw))
+    if failed := [cell.reason for cell in results.cells if cell.reason]:
+        flaws.insert(0, f"did not fly in {len(failed)} of {len(results.cells)} scenarios: {failed[0]}")
+    return flown, flaws

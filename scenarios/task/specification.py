@@ -2,12 +2,13 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated
 
 from pydantic import Field
 
 from quadsim.config.ranges import Between, Duration, SampleRate
 from quadsim.config.toml import Strict, load_toml
+from quadsim.flight.recipe import Variant
 from quadsim.held_out import SEEDS, load_held_out
 from quadsim.runs.fingerprint import fingerprint
 
@@ -17,52 +18,16 @@ Progress = Callable[[int, int, str], None]
 """progress(done, total, what is next)."""
 SEEDS_EACH = 1000
 """Seeds that each part of the data may take."""
+ROTORPY, BROAD = "rotorpy", "broad"
+"""Parts of the data that are not of a recipe."""
 
 
-class Part(Strict):
-    """Flights or recordings on which estimators run without a loop."""
-
-    title: str
-    """Heading of its column, and what is flown, in a few words."""
-    skip_s: Annotated[float, Between(0.0, 60.0, "s")] = 5.0
-    """Time at the start that is not scored [s]."""
-
-
-class Simulated(Part):
+class Simulated(Variant):
     """Flights of a recipe."""
 
-    source: Literal["recipe"]
-    recipe: str
-    """A shipped recipe, or a TOML file."""
-    changes: dict[str, Any] = Field(default_factory=dict)
-    """Keys of the recipe that are replaced."""
     flights: Annotated[int, Between(1, SEEDS_EACH)]
     duration_s: Duration
     """Length of each [s]."""
-    digest: str = ""
-    """Of its numbers, see `data.digest_of`; empty: not checked."""
-
-
-class Foreign(Part):
-    """Four flights of each of some airframes in RotorPy."""
-
-    source: Literal["rotorpy"]
-    airframes: tuple[Literal["hummingbird", "crazyflie"], ...]
-    imu: str
-    duration_s: Duration
-    """Length of each [s]."""
-    digest: str = ""
-    """As that of `Simulated`."""
-
-
-class Recorded(Part):
-    """Trials of BROAD, from the user's own folder."""
-
-    source: Literal["broad"]
-    trials: Annotated[int, Between(1, 1000)]
-    """How many there are; without one of them the part has no mean."""
-    skip_s: Annotated[float, Between(0.0, 60.0, "s")] = 0.0
-    """Of its authors' metric: what they mark counts, and nothing else is left out [s]."""
 
 
 class Task(Strict):
@@ -79,16 +44,30 @@ class Task(Strict):
     """Samples per second of everything."""
     most_ms: Annotated[float, Between(1e-3, 1e4, "ms")]
     """Time limit per sample of one vehicle [ms]."""
-    parts: dict[str, Annotated[Simulated | Foreign | Recorded, Field(discriminator="source")]]
-    """What estimators run on without a loop, by name."""
+    skip_s: Annotated[float, Between(0.0, 60.0, "s")]
+    """Time at the start of simulated flights that is not scored [s]."""
+    recipes: dict[str, Simulated]
+    """Simulated flights, by the name of their part."""
+    rotorpy_s: Duration | None = None
+    """Length of the flights in RotorPy, four of each of its airframes [s]; left out, there are none."""
+    broad_trials: Annotated[int, Between(0, 1000)] = 0
+    """Trials of BROAD, from the user's own folder; without one of them this part has no mean."""
+    digests: dict[str, str] = Field(default={})
+    """Of the numbers of parts, see `data.digest_of`; those that are left out are not checked."""
     metrics: dict[str, str]
     """What is measured, in words."""
     rules: tuple[str, ...]
     """What an entry may and may not do, in words."""
 
+    @property
+    def parts(self) -> list[str]:
+        """Names of what estimators run on without a loop."""
+        others = {ROTORPY: self.rotorpy_s, BROAD: self.broad_trials}
+        return [*self.recipes, *(name for name, given in others.items() if given)]
+
     def seed_of(self, part: str) -> int:
         """The first seed of a part's data: it is in the range that the release reserves."""
-        offset = SEEDS_EACH * (1 + list(self.parts).index(part))
+        offset = SEEDS_EACH * (1 + self.parts.index(part))
         if offset + SEEDS_EACH > SEEDS:
             raise ValueError(f"parts: {len(self.parts)} are more than the release has seeds for")
         return load_held_out(self.release).seed + offset

@@ -1,6 +1,7 @@
 """A task that others enter: its data, what an entry gets, what is refused, and the leaderboard."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,9 +23,16 @@ from quadsim.rotation import quat_conjugate, quat_from_euler, quat_multiply
 from scenarios.bench.cell import FlightSettings
 from scenarios.bench.experiment import load_experiment
 from scenarios.bench.runner import bench
-from scenarios.report.leaderboard import find_entries, flights_of, improvement, standing, write_leaderboard
+from scenarios.report.leaderboard import (
+    find_entries,
+    flights_of,
+    improvement,
+    loop_errors,
+    standing,
+    write_leaderboard,
+)
 from scenarios.task.data import make_data
-from scenarios.task.entry import card_of, load_entry
+from scenarios.task.entry import ENTRY, card_of, load_entry
 from scenarios.task.operations import counted_operations
 from scenarios.task.run import run_task
 from scenarios.task.specification import load_task
@@ -52,6 +60,16 @@ def place(tmp_path_factory):
 @pytest.fixture(scope="module")
 def task(place):
     return load_task(place / "small.toml")
+
+
+def only_home(task):
+    """The small task with one part of its data."""
+    return task.model_copy(update={"recipes": {"home": task.recipes["home"]}})
+
+
+def named(entry, name):
+    """An entry under another name."""
+    return replace(entry, card=replace(entry.card, name=name))
 
 
 def entered(place, name, source=FAIR):
@@ -93,8 +111,7 @@ def test_the_data_are_the_same_wherever_they_are_made(place, task, tmp_path):
 
 
 def test_an_entry_on_other_data_is_not_ranked(place, task):
-    home = task.parts["home"].model_copy(update={"digest": "0" * 64})
-    other = task.model_copy(update={"parts": {"home": home}})
+    other = only_home(task).model_copy(update={"digests": {"home": "0" * 64}})
     (entry,) = run_task(other, ["mahony"], place / "other", workers=1)
     assert entry.reasons == ("ran on data that differ from the task's (home)",)
 
@@ -112,19 +129,17 @@ def test_broad_is_scored_by_its_authors_metric_where_all_its_trials_are_there(ta
         "imu_mag": np.ones((time.size, 3)),
     }
     savemat(tmp_path / "01_undisturbed_slow_rotation_A.mat", readings | trial)
-    parts = {"home": task.parts["home"], "broad": SHIPPED.parts["broad"]}
-    small = task.model_copy(update={"parts": parts})
+    small = only_home(task).model_copy(update={"broad_trials": SHIPPED.broad_trials})
     entries = [f"{BASELINES}/level.py:Level"]
     (entry,) = run_task(small, entries, tmp_path / "out", recordings=tmp_path, workers=1)
     error = quat_multiply([1.0, 0.0, 0.0, 0.0], quat_conjugate(quat[moving]))
     angle = np.degrees(2.0 * np.arccos(np.hypot(error[:, 0], error[:, 3])))
     (value,) = entry.parts["broad"].values.values()
     assert value == pytest.approx(np.sqrt(np.mean(angle**2)), rel=2e-3)
-    assert (entry.parts["broad"].mean, entry.parts["broad"].note) == (None, "1 of 39 trials")
-    whole = parts["broad"].model_copy(update={"trials": 1})
-    small = small.model_copy(update={"parts": parts | {"broad": whole}})
+    assert (entry.parts["broad"].errors, entry.parts["broad"].note) == (None, "1 of 39 trials")
+    small = small.model_copy(update={"broad_trials": 1})
     (entry,) = run_task(small, entries, tmp_path / "out", recordings=tmp_path, workers=1)
-    assert entry.parts["broad"].mean == value
+    assert entry.parts["broad"].errors.mean == value
     with np.load(tmp_path / "out" / "data" / "broad" / "01_undisturbed_slow_rotation_A.npz") as made:
         np.testing.assert_allclose(made["mag"][10:-10], 1e-6)
 
@@ -138,11 +153,12 @@ def test_an_entry_has_the_errors_of_its_runs(place, task):
     flights.truth[:, :200] = np.nan
     errors = inclination_rmse(run(create("mahony"), flights.gyro, flights.accel), flights.truth)
     assert list(entry.parts["home"].values.values()) == errors.sequences.tolist()
-    assert entry.parts["home"].mean == errors.mean
+    assert entry.parts["home"].errors.mean == errors.mean
     loop = load_experiment(place / "loop.toml")
     flown = bench(None, ["mahony"], place / "again", FlightSettings(2, loop.seed), experiment=loop, workers=1)
-    assert [each.error_deg for each in entry.loop.flights] == flown.flights["error_deg"].tolist()
-    assert (entry.loop.crashes, entry.loop.planned, entry.reasons) == (0, 4, ())
+    assert [each.error_deg for each in entry.flights] == flown.flights["error_deg"].tolist()
+    assert loop_errors(entry).mean == flown.totals["mahony"].error_deg
+    assert ([each.cause for each in entry.flights], entry.reasons) == ([""] * 4, ())
     assert entry.card.track == "IMU"
     assert entry.cost.ns > 0.0
     assert entry.cost.footprint > 100
@@ -164,10 +180,10 @@ def test_an_entry_is_given_what_its_card_declares_and_nothing_else(place):
     entry = entered(place, "Told", told.replace("given = ()", 'given = ("airframe", "initial attitude")'))
     assert entry.card.track == "IMU + airframe + initial attitude"
     assert entry.reasons == ()
-    assert entry.parts["home"].mean < 15.0
+    assert entry.parts["home"].errors.mean < 15.0
     assert entry.parts["hand"].note == "there is no airframe to be given"
     plain = load_entry(place / "out" / "Mine" / "entry.json")
-    assert entry.loop.flights[2].error_deg < 0.5 * plain.loop.flights[2].error_deg  # which begins tilted
+    assert entry.flights[2].error_deg < 0.5 * plain.flights[2].error_deg  # which begins tilted
     asks = FAIR.replace("Mine", "Asks").replace("(self, gyro, accel)", "(self, gyro, accel, rotor_vel=None)")
     assert entered(place, "Asks", asks).card.given == ("rotor_vel",)
     with pytest.raises(ValueError, match='given = "airfame"; did you mean "airframe"'):
@@ -197,9 +213,7 @@ def test_an_entry_that_hangs_is_ended(place, monkeypatch):
 
 
 def test_operations_of_a_network_and_in_the_source_of_a_filter_are_counted(place, task):
-    (entry,) = run_task(
-        task.model_copy(update={"parts": {"home": task.parts["home"]}}), ["att-snn"], place / "net", workers=1
-    )
+    (entry,) = run_task(only_home(task), ["att-snn"], place / "net", workers=1)
     assert entry.cost.operations > 100.0
     assert entry.cost.nanojoules > 1.0
     assert "Davies" in entry.cost.model
@@ -236,13 +250,11 @@ def test_every_baseline_is_a_sound_entry(package, source):
 def test_the_probability_of_improvement_counts_paired_flights(place):
     entries = find_entries([place / "out"])
     mine, other = (load_entry(place / "out" / name / "entry.json") for name in ("Mine", "mahony"))
-    better = [
-        float(a.error_deg < b.error_deg) for a, b in zip(mine.loop.flights, other.loop.flights, strict=True)
-    ]
+    better = [float(a.error_deg < b.error_deg) for a, b in zip(mine.flights, other.flights, strict=True)]
     assert improvement(flights_of(entries), "Mine", "mahony").mean == pytest.approx(np.mean(better))
-    crashed = mine.loop.flights[0].model_copy(update={"cause": "tilt", "error_deg": 0.0})
-    loop = mine.loop.model_copy(update={"flights": (crashed, *mine.loop.flights[1:])})
-    fallen = mine.model_copy(update={"loop": loop, "card": mine.card.model_copy(update={"name": "Fallen"})})
+    crashed = replace(mine.flights[0], cause="tilt", error_deg=0.0)
+    fallen = replace(named(mine, "Fallen"), flights=(crashed, *mine.flights[1:]))
+    assert loop_errors(fallen).sequences[0] == mine.flights[1].error_deg
     flights = flights_of([mine, fallen])
     assert improvement(flights, "Fallen", "Mine").mean == pytest.approx(0.5 * 3 / 4)
     assert standing([fallen, mine], flights) == ["Mine", "Fallen"]
@@ -252,10 +264,9 @@ def test_entries_of_another_task_or_code_have_a_table_of_their_own(place, tmp_pa
     mine = load_entry(place / "out" / "Mine" / "entry.json")
     for name, change in {"task": {"task": "1" * 64}, "code": {"code": "2" * 64}, "same": {}}.items():
         (tmp_path / name).mkdir()
-        (tmp_path / name / "entry.json").write_text(mine.model_copy(update=change).model_dump_json())
-    flawed = mine.model_copy(update={"code": "2" * 64, "reasons": ("opened <a file>",)})
-    flawed = flawed.model_copy(update={"card": mine.card.model_copy(update={"name": "Flawed"})})
-    (tmp_path / "entry.json").write_text(flawed.model_dump_json())
+        (tmp_path / name / "entry.json").write_bytes(ENTRY.dump_json(replace(mine, **change)))
+    flawed = replace(named(mine, "Flawed"), code="2" * 64, reasons=("opened <a file>",))
+    (tmp_path / "entry.json").write_bytes(ENTRY.dump_json(flawed))
     page = write_leaderboard(tmp_path / "board.html", find_entries([tmp_path])).read_text()
     assert page.count("<h2>small (task") == 3
     assert 'Flawed<br><small class="failed">not ranked: it opened &lt;a file&gt;' in page
@@ -275,9 +286,8 @@ def test_the_command_runs_a_task_and_merges_folders(place, monkeypatch, capsys, 
     run_it = ("bench", "--task", place / "small.toml", "--out", place / "out", "--workers", 1)
     assert quadsim(*run_it, "--estimator", "mahony")[0] in (0, None)
     (own,) = find_entries([place / "out" / "mahony"])
-    other = own.model_copy(update={"card": own.card.model_copy(update={"name": "Of a colleague"})})
     (tmp_path / "other").mkdir()
-    (tmp_path / "other" / "entry.json").write_text(other.model_dump_json())
+    (tmp_path / "other" / "entry.json").write_bytes(ENTRY.dump_json(named(own, "Of a colleague")))
     shown = quadsim("report", place / "out" / "mahony", tmp_path / "other", "--out", tmp_path / "b.html")[1]
     assert "IMU:" in shown
     assert "leads" in shown

@@ -6,22 +6,17 @@ release = "0.3"
 closed_loop = "{folder}/loop.toml"
 rate_hz = 200.0
 most_ms = 2.0
+skip_s = 1.0
 rules = []
 [metrics]
-[parts.home]
-source = "recipe"
-title = "quadsim"
+[recipes.home]
 recipe = "hummingbird"
 flights = 2
 duration_s = 3.0
-skip_s = 1.0
-[parts.hand]
-source = "recipe"
-title = "hand-held"
+[recipes.hand]
 recipe = "hand-held"
 flights = 1
 duration_s = 3.0
-skip_s = 1.0
 """
 LOOP = """description = "Two short hovers."
 scenarios = ["{folder}/level.toml", "{folder}/tilted.toml"]

@@ -6,10 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from quadsim.config.toml import merged, parse
 from quadsim.dataset.generation import generate
 from quadsim.dataset.store import Progress
-from quadsim.flight.recipe import Recipe, load_recipe
+from quadsim.flight.recipe import changed_recipe
 from quadsim.held_out import reserved_by
 
 from ..config import CircuitRun
@@ -26,12 +25,11 @@ def own_flights(config: CircuitRun, out: Path, progress: Progress = lambda done,
     """
     if config.window_s > FLIGHT_S:
         raise ValueError(f"window_s: {config.window_s:g}, but the flights have {FLIGHT_S:g} s")
-    recipes = []
-    for each in config.flight_sets:
-        base = load_recipe(each.recipe).model_dump(mode="json")
-        for vehicle, flights in each.flights.items():
-            changes = each.changes | {"vehicle": vehicle}
-            recipes.append((parse(merged(base, changes), Recipe, each.recipe), flights))
+    recipes = [
+        (changed_recipe(each.recipe, each.changes | {"vehicle": vehicle}, each.recipe), flights)
+        for each in config.flight_sets
+        for vehicle, flights in each.flights.items()
+    ]
     total, done, paths = sum(flights for _, flights in recipes), 0, []
     for index, (recipe, flights) in enumerate(recipes):
         drawn = np.random.SeedSequence([config.seed, index]).generate_state(8).tolist()
