@@ -61,6 +61,7 @@ EXTRAS = {
     "distributed": "cluster",
     "h5netcdf": "export",
     "h5py": "logs",
+    "mcap": "logs",
     "nir": "export",
     "onnx": "export",
     "pyulog": "logs",

@@ -55,7 +55,7 @@ Mount = Annotated[
 Truth = Annotated[
     str | None, typer.Option(help="Topic or folder of the true attitude; default: the best in the log.")
 ]
-Imu = Annotated[str | None, typer.Option(help="Topic of the IMU in a ROS bag.")]
+Imu = Annotated[str | None, typer.Option(help="Topic of the IMU in a ROS bag or MCAP.")]
 Force = Annotated[bool, typer.Option("--force", help="For logs: use them even if units or axes look wrong.")]
 Duration = Annotated[float | None, typer.Option(min=0.1, help="Length in seconds; default: the scenario's.")]
 OWN_CONTROLLER = (
