@@ -65,6 +65,7 @@ EXTRAS = {
     "nir": "export",
     "onnx": "export",
     "pyulog": "logs",
+    "rerun": "watch",
     "rosbags": "logs",
     "rotorpy": "task",
     "torch": "train",

@@ -190,7 +190,7 @@ def write_json_mcap(path, encoding="json"):
         for topic, kind in {
             "/imu": "sensor_msgs/Imu",
             "/body": "foxglove.PoseInFrame",
-            "/level": "foxglove.FrameTransform",
+            "/level": "foxglove.PoseInFrame",
         }.items():
             schema = writer.register_schema(kind, "jsonschema" if encoding == "json" else encoding, b"{}")
             channels[topic] = writer.register_channel(topic, encoding, schema)
@@ -210,7 +210,7 @@ def write_json_mcap(path, encoding="json"):
                     "frame_id": "world",
                     "pose": {"position": none, "orientation": turn},
                 },
-                "/level": {"timestamp": stamp, "translation": none, "rotation": none | {"w": 1.0}},
+                "/level": {"timestamp": stamp, "pose": {"position": none, "orientation": none | {"w": 1.0}}},
             }
             for topic, content in said.items():
                 writer.add_message(channels[topic], ns + 7_000_000, json.dumps(content).encode(), ns)

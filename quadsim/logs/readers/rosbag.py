@@ -17,7 +17,6 @@ POSES = {
     "geometry_msgs/msg/TransformStamped": ("transform", "translation", "rotation"),
     "nav_msgs/msg/Odometry": ("pose.pose", "position", "orientation"),
     "foxglove.PoseInFrame": ("pose", "position", "orientation"),
-    "foxglove.FrameTransform": ("", "translation", "rotation"),
 }
 """Messages that hold a pose, the most likely motion capture first, and where in them it is."""
 
@@ -31,11 +30,10 @@ def read_rosbag(path: Path, imu: str | None = None, truth: str | None = None) ->
         truth: Topic of the true attitude; None for the first kind of POSES that is there, and failing that
             the orientation in the IMU's own messages.
     """
-    folder = path.parent if (path.parent / "metadata.yaml").is_file() and path.suffix != ".bag" else path
+    in_folder = path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").is_file()
+    alone = path.suffix == ".mcap" and not in_folder and path.is_file()
     readings, poses, own = [], [], []
-    with (
-        open_mcap(path) if folder == path and path.suffix == ".mcap" else _open_bag(folder) as (topics, read)
-    ):
+    with open_mcap(path) if alone else _open_bag(path.parent if in_folder else path) as (topics, read):
         imu_topic = _topic(topics, path, imu, [IMU])
         if imu_topic is None:
             raise ValueError(f"{path}: no topic of {IMU}; topics: {_all_topics(topics)}")
@@ -46,29 +44,28 @@ def read_rosbag(path: Path, imu: str | None = None, truth: str | None = None) ->
                 poses.append((stamp, *_pose(message, topic.kind)))
                 continue
             readings.append((stamp, *_xyz(message.angular_velocity), *_xyz(message.linear_acceleration)))
-            q, unknown = (
-                getattr(message, "orientation", None),
-                getattr(message, "orientation_covariance", [0.0]),
-            )
-            if q is not None and unknown[0] != -1.0 and abs(q.w) + sum(map(abs, _xyz(q))) > 0.5:
+            q, covariance = (getattr(message, f"orientation{each}", None) for each in ("", "_covariance"))
+            if q is None or (covariance is not None and covariance[0] == -1.0):
+                continue
+            if abs(q.w) + sum(map(abs, _xyz(q))) > 0.5:
                 own.append((stamp, q.w, *_xyz(q)))
     time, gyro, accel = _columns(readings, 1, 3, 3)
-    log = Recording(path.name, "ROS bag", time[:, 0], gyro, accel, notes=(f"IMU from {imu_topic.name}",))
+    kind, notes = "MCAP" if alone else "ROS bag", (f"IMU from {imu_topic.name}",)
+    log = Recording(path.name, kind, time[:, 0], gyro, accel, notes=notes)
     if poses and pose_topic:
         time, position, quat = _columns(poses, 1, 3, 4)
         return log.with_truth(f"{pose_topic.name}: poses", time[:, 0], quat, position)
     if own:
         time, quat = _columns(own, 1, 4)
-        return log.with_truth(
-            f"{imu_topic.name}: the sensor's {OWN_ESTIMATE}", time[:, 0], quat, own_axes=True
-        )
+        own_estimate = f"{imu_topic.name}: the sensor's {OWN_ESTIMATE}"
+        return log.with_truth(own_estimate, time[:, 0], quat, own_axes=True)
     return log
 
 
 def _pose(message: Any, kind: str) -> tuple[float, ...]:
     """Position and quaternion (w, x, y, z)."""
     place, position, orientation = POSES[kind]
-    for name in filter(None, place.split(".")):
+    for name in place.split("."):
         message = getattr(message, name)
     q = getattr(message, orientation)
     return (*_xyz(getattr(message, position)), q.w, *_xyz(q))

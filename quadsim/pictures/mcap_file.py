@@ -1,0 +1,131 @@
+"""A flight as MCAP with JSON messages that Foxglove shows.
+
+Topics: /body, the true pose (foxglove.PoseInFrame), /frames/body and /frames/ESTIMATOR
+(foxglove.FrameTransform), /scene (foxglove.SceneUpdate), /imu (sensor_msgs/Imu), /traces/NAME and
+/spikes/POPULATION.
+"""
+
+import heapq
+import json
+import re
+from collections.abc import Iterable, Iterator
+from operator import itemgetter
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .timeline import BODY, Array, Timeline, outline
+
+Json = dict[str, Any]
+NO_ORIENTATION = [-1.0] + 8 * [0.0]
+"""What a message of ROS has for a sensor without an orientation."""
+ORIGIN = {"x": 0.0, "y": 0.0, "z": 0.0}
+AT_ORIGIN = {"position": ORIGIN, "orientation": ORIGIN | {"w": 1.0}}
+COLOURS = {
+    "true": {"r": 0.93, "g": 0.36, "b": 0.09, "a": 1.0},
+    "estimate": {"r": 0.1, "g": 0.55, "b": 0.95, "a": 1.0},
+}
+TYPES = {bool: "boolean", int: "integer", float: "number", str: "string"}
+"""Types of JSON."""
+
+
+class Topic(NamedTuple):
+    """All messages of a topic."""
+
+    name: str
+    schema: str
+    time: Array
+    """(M,) [s]."""
+    contents: list[Json]
+    """Without their stamps, (M,)."""
+
+    def messages(self) -> Iterator[tuple[int, str, Json]]:
+        """Time [ns], topic and content, with a stamp as ROS has it for an IMU, or else as Foxglove has it."""
+        for ns, content in zip(np.rint(1e9 * self.time).astype(int).tolist(), self.contents, strict=True):
+            stamp = {"sec": ns // 10**9, "nsec": ns % 10**9}
+            in_header = {"header": {"stamp": stamp, "frame_id": BODY}}
+            yield ns, self.name, (in_header if self.name == "/imu" else {"timestamp": stamp}) | content
+
+
+def write(path: Path, timeline: Timeline) -> None:
+    """Write an MCAP file whose time begins at 0 s.
+
+    Args:
+        path: File to write, `.mcap`.
+        timeline: What it shows.
+    """
+    from mcap.writer import Writer
+
+    topics = [each for each in _topics(timeline) if each.contents]
+    with path.open("wb") as stream:
+        writer, channels = Writer(stream), {}
+        writer.start(library="quadsim")
+        for topic in topics:
+            fields = {name: value for _, _, content in topic.messages() for name, value in content.items()}
+            schema = writer.register_schema(topic.schema, "jsonschema", json.dumps(_schema(fields)).encode())
+            channels[topic.name] = writer.register_channel(topic.name, "json", schema)
+        for ns, name, content in heapq.merge(*(each.messages() for each in topics), key=itemgetter(0)):
+            writer.add_message(channels[name], ns, json.dumps(content).encode(), ns)
+        writer.finish()
+
+
+def _topics(timeline: Timeline) -> Iterator[Topic]:
+    yield Topic("/scene", "foxglove.SceneUpdate", timeline.time[:1], [_scene(timeline)])
+    for name, quat in timeline.poses.items():
+        known = np.isfinite(np.hstack([timeline.position, quat])).all(axis=1)
+        time, frames = timeline.time[known], {"parent_frame_id": "world", "child_frame_id": name}
+        poses = list(zip(_rows("xyz", timeline.position[known]), _rows("wxyz", quat[known]), strict=True))
+        moves = [frames | {"translation": at, "rotation": turn} for at, turn in poses]
+        yield Topic(f"/frames/{_plain(name)}", "foxglove.FrameTransform", time, moves)
+        if name == BODY:
+            true = [
+                {"frame_id": "world", "pose": {"position": at, "orientation": turn}} for at, turn in poses
+            ]
+            yield Topic("/body", "foxglove.PoseInFrame", time, true)
+    known = np.isfinite(np.hstack([timeline.gyro, timeline.accel])).all(axis=1)
+    readings = zip(_rows("xyz", timeline.gyro[known]), _rows("xyz", timeline.accel[known]), strict=True)
+    unknown = {"orientation": AT_ORIGIN["orientation"], "orientation_covariance": NO_ORIENTATION}
+    samples = [unknown | {"angular_velocity": rate, "linear_acceleration": force} for rate, force in readings]
+    yield Topic("/imu", "sensor_msgs/Imu", timeline.time[known], samples)
+    for name, trace in timeline.traces.items():
+        rows = _rows(map(_plain, trace.curves), np.stack(list(trace.curves.values()), axis=1))
+        yield Topic(f"/traces/{_plain(name)}", f"{name} [{trace.unit}]", timeline.time, rows)
+    for name, spikes in timeline.spikes.items():
+        steps, first = np.unique(spikes.time, return_index=True)
+        parts = [{"neurons": part.tolist()} for part in np.split(spikes.neuron, first[1:])]
+        yield Topic(f"/spikes/{_plain(name)}", "spikes", steps, parts)
+
+
+def _scene(timeline: Timeline) -> Json:
+    """Outlines that move with the frames of the poses."""
+    entities, shape = [], [{"points": _rows("xyz", points)} for points in outline(timeline.vehicle)]
+    for name in timeline.poses:
+        line = {"type": 0, "pose": AT_ORIGIN, "thickness": 0.008, "scale_invariant": False}
+        line["color"] = COLOURS["true" if name == BODY else "estimate"]
+        still = {"timestamp": {"sec": 0, "nsec": 0}, "frame_id": name, "id": name, "frame_locked": True}
+        entities.append(still | {"lines": [line | points for points in shape]})
+    return {"entities": entities}
+
+
+def _rows(names: Iterable[str], values: Array) -> list[Json]:
+    """The rows of an array (T, names) as objects, without numbers that are missing."""
+    keys = list(names)
+    return [
+        {key: value for key, value in zip(keys, row, strict=True) if value == value}
+        for row in values.tolist()
+    ]
+
+
+def _plain(name: str) -> str:
+    """A name without characters that Foxglove's message paths cannot have."""
+    return re.sub(r"[^A-Za-z0-9_-]+", "_", name)
+
+
+def _schema(value: Any) -> Json:
+    """The JSON schema of a value."""
+    if isinstance(value, dict):
+        return {"type": "object", "properties": {name: _schema(each) for name, each in value.items()}}
+    if isinstance(value, list):
+        return {"type": "array", "items": _schema(value[0]) if value else {}}
+    return {"type": TYPES[type(value)]}
