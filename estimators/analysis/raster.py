@@ -35,7 +35,7 @@ def spikes_of(est: AttitudeEstimator | None, gyro: Array, accel: Array) -> dict[
         fired[k] = core.spikes(again.states)[0]
     encoding, hidden, _ = core.sizes
     parts = {"encoding": fired[:, :encoding], "hidden": fired[:, encoding : encoding + hidden]}
-    return {name: _listed(part, est.rate_hz) for name, part in parts.items()}
+    return _listed(parts, est.rate_hz)
 
 
 def _of_circuit(core: SpikingCircuit, gyro: Array, accel: Array, rate_hz: float) -> dict[str, Spikes]:
@@ -45,17 +45,14 @@ def _of_circuit(core: SpikingCircuit, gyro: Array, accel: Array, rate_hz: float)
     fired = np.zeros((len(gyro) * steps, sum(sizes.values())), np.int8)
     record_circuit(gyro, accel, settings, numbers, zero_states(core, 1)[0], fired)
     parts = np.split(fired, np.cumsum(list(sizes.values()))[:-1], axis=1)
-    signed = [
-        part if name == "gates" else np.stack([part > 0, part < 0], axis=2)
-        for name, part in zip(sizes, parts, strict=True)
-    ]
-    return {
-        name: _listed(part.reshape(len(part), -1) != 0, rate_hz * steps)
-        for name, part in zip(sizes, signed, strict=True)
-    }
+    signed = {}
+    for name, part in zip(sizes, parts, strict=True):
+        rows = part if name == "gates" else np.stack([part > 0, part < 0], axis=2)
+        signed[name] = rows.reshape(len(part), -1)
+    return _listed(signed, rate_hz * steps)
 
 
-def _listed(fired: np.ndarray, rate_hz: float) -> Spikes:
-    """A raster (steps, neurons) as a list of its spikes."""
-    step, neuron = np.nonzero(fired)
-    return Spikes(step / rate_hz, neuron)
+def _listed(rasters: dict[str, np.ndarray], rate_hz: float) -> dict[str, Spikes]:
+    """Rasters (steps, neurons) as lists of their spikes; a population without one is left out."""
+    found = {name: np.nonzero(raster) for name, raster in rasters.items()}
+    return {name: Spikes(step / rate_hz, neuron) for name, (step, neuron) in found.items() if step.size}

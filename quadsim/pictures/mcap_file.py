@@ -1,23 +1,24 @@
 """A flight as MCAP with JSON messages that Foxglove shows.
 
 Topics: /body, the true pose (foxglove.PoseInFrame), /frames/body and /frames/ESTIMATOR
-(foxglove.FrameTransform), /scene (foxglove.SceneUpdate), /imu (sensor_msgs/Imu), /traces/NAME and
-/spikes/POPULATION.
+(foxglove.FrameTransform), /scene (foxglove.SceneUpdate), /imu (sensor_msgs/Imu), /traces/NAME and /spikes,
+which has the neurons that spike at a time by population.
 """
 
 import heapq
 import json
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from .timeline import BODY, Array, Timeline, outline
+from .timeline import BODY, Array, Spikes, Timeline, outline
 
 Json = dict[str, Any]
+IMU = "sensor_msgs/Imu"
 NO_ORIENTATION = [-1.0] + 8 * [0.0]
 """What a message of ROS has for a sensor without an orientation."""
 ORIGIN = {"x": 0.0, "y": 0.0, "z": 0.0}
@@ -26,8 +27,7 @@ COLOURS = {
     "true": {"r": 0.93, "g": 0.36, "b": 0.09, "a": 1.0},
     "estimate": {"r": 0.1, "g": 0.55, "b": 0.95, "a": 1.0},
 }
-TYPES = {bool: "boolean", int: "integer", float: "number", str: "string"}
-"""Types of JSON."""
+JSON_TYPES = {bool: "boolean", int: "integer", float: "number", str: "string"}
 
 
 class Topic(NamedTuple):
@@ -35,17 +35,20 @@ class Topic(NamedTuple):
 
     name: str
     schema: str
-    time: Array
-    """(M,) [s]."""
-    contents: list[Json]
-    """Without their stamps, (M,)."""
+    time: Array  #: (M,) [s]
+    contents: list[Json]  #: without their stamps, (M,)
 
     def messages(self) -> Iterator[tuple[int, str, Json]]:
-        """Time [ns], topic and content, with a stamp as ROS has it for an IMU, or else as Foxglove has it."""
+        """Time [ns], topic and content of each."""
         for ns, content in zip(np.rint(1e9 * self.time).astype(int).tolist(), self.contents, strict=True):
-            stamp = {"sec": ns // 10**9, "nsec": ns % 10**9}
-            in_header = {"header": {"stamp": stamp, "frame_id": BODY}}
-            yield ns, self.name, (in_header if self.name == "/imu" else {"timestamp": stamp}) | content
+            yield ns, self.name, self.stamped(ns, content)
+
+    def stamped(self, ns: int, content: Json) -> Json:
+        """A content with its stamp, as ROS has it for an IMU, or else as Foxglove has it."""
+        stamp = {"sec": ns // 10**9, "nsec": ns % 10**9}
+        if self.schema == IMU:
+            return {"header": {"stamp": stamp, "frame_id": BODY}} | content
+        return {"timestamp": stamp} | content
 
 
 def write(path: Path, timeline: Timeline) -> None:
@@ -62,8 +65,9 @@ def write(path: Path, timeline: Timeline) -> None:
         writer, channels = Writer(stream), {}
         writer.start(library="quadsim")
         for topic in topics:
-            fields = {name: value for _, _, content in topic.messages() for name, value in content.items()}
-            schema = writer.register_schema(topic.schema, "jsonschema", json.dumps(_schema(fields)).encode())
+            fields = {name: value for content in topic.contents for name, value in content.items()}
+            described = json.dumps(_schema(topic.stamped(0, fields))).encode()
+            schema = writer.register_schema(topic.schema, "jsonschema", described)
             channels[topic.name] = writer.register_channel(topic.name, "json", schema)
         for ns, name, content in heapq.merge(*(each.messages() for each in topics), key=itemgetter(0)):
             writer.add_message(channels[name], ns, json.dumps(content).encode(), ns)
@@ -87,14 +91,23 @@ def _topics(timeline: Timeline) -> Iterator[Topic]:
     readings = zip(_rows("xyz", timeline.gyro[known]), _rows("xyz", timeline.accel[known]), strict=True)
     unknown = {"orientation": AT_ORIGIN["orientation"], "orientation_covariance": NO_ORIENTATION}
     samples = [unknown | {"angular_velocity": rate, "linear_acceleration": force} for rate, force in readings]
-    yield Topic("/imu", "sensor_msgs/Imu", timeline.time[known], samples)
+    yield Topic("/imu", IMU, timeline.time[known], samples)
     for name, trace in timeline.traces.items():
         rows = _rows(map(_plain, trace.curves), np.stack(list(trace.curves.values()), axis=1))
         yield Topic(f"/traces/{_plain(name)}", f"{name} [{trace.unit}]", timeline.time, rows)
-    for name, spikes in timeline.spikes.items():
-        steps, first = np.unique(spikes.time, return_index=True)
-        parts = [{"neurons": part.tolist()} for part in np.split(spikes.neuron, first[1:])]
-        yield Topic(f"/spikes/{_plain(name)}", "spikes", steps, parts)
+    if timeline.spikes:
+        yield _spikes(timeline.spikes)
+
+
+def _spikes(populations: Mapping[str, Spikes]) -> Topic:
+    steps = np.unique(np.concatenate([spikes.time for spikes in populations.values()]))
+    rows: list[Json] = [{} for _ in steps]
+    for name, (time, neuron) in populations.items():
+        at, first = np.unique(time, return_index=True)
+        parts = np.split(neuron, first[1:])
+        for k, part in zip(np.searchsorted(steps, at), parts, strict=True):
+            rows[k][_plain(name)] = part.tolist()
+    return Topic("/spikes", "spikes", steps, rows)
 
 
 def _scene(timeline: Timeline) -> Json:
@@ -111,10 +124,7 @@ def _scene(timeline: Timeline) -> Json:
 def _rows(names: Iterable[str], values: Array) -> list[Json]:
     """The rows of an array (T, names) as objects, without numbers that are missing."""
     keys = list(names)
-    return [
-        {key: value for key, value in zip(keys, row, strict=True) if value == value}
-        for row in values.tolist()
-    ]
+    return [{key: x for key, x in zip(keys, row, strict=True) if x == x} for row in values.tolist()]
 
 
 def _plain(name: str) -> str:
@@ -128,4 +138,4 @@ def _schema(value: Any) -> Json:
         return {"type": "object", "properties": {name: _schema(each) for name, each in value.items()}}
     if isinstance(value, list):
         return {"type": "array", "items": _schema(value[0]) if value else {}}
-    return {"type": TYPES[type(value)]}
+    return {"type": JSON_TYPES[type(value)]}

@@ -62,7 +62,7 @@ class Timeline:
     wind: Array | None = None
     """In the world (T, 3) [m/s]."""
     spikes: Mapping[str, Spikes] = field(default_factory=dict)
-    """Of a spiking network, by population."""
+    """Of spiking networks, by population; none is empty."""
 
 
 def attitudes(
@@ -75,15 +75,10 @@ def attitudes(
         estimates: Estimated roll and pitch (T, 2) [rad]; drawn with the true yaw, or else with none.
         sigmas: Their standard deviations (T, 2) [rad], of estimators that give one.
     """
-    yaw = np.nan_to_num(euler[:, 2])
-    poses = (
-        {BODY: quat_from_euler(euler[:, 0], euler[:, 1], euler[:, 2])}
-        if np.isfinite(euler).all(axis=1).any()
-        else {}
-    )
-    poses |= {
-        name: quat_from_euler(estimate[:, 0], estimate[:, 1], yaw) for name, estimate in estimates.items()
-    }
+    roll, pitch, yaw = euler.T
+    poses = {BODY: quat_from_euler(roll, pitch, yaw)} if np.isfinite(euler).all(axis=1).any() else {}
+    for name, estimate in estimates.items():
+        poses[name] = quat_from_euler(estimate[:, 0], estimate[:, 1], np.nan_to_num(yaw))
     traces = {}
     for k, angle in enumerate(("roll", "pitch")):
         curves = {"true": euler[:, k]}
@@ -119,7 +114,7 @@ def viewer_files(rerun: Path | None, mcap: Path | None) -> Iterator[Callable[[Ti
         mcap: File for Foxglove, .mcap.
 
     Returns:
-        The function; None where no file is wanted.
+        The function; None if no file is given.
 
     Raises:
         ValueError: Another suffix, or a file that another process writes.

@@ -12,6 +12,7 @@ from quadsim.pictures.timeline import Spikes, Timeline, Trace, attitudes, axes_o
 from quadsim.rotation import euler_from_quat
 from quadsim.vehicle import load_vehicle
 
+GATES = Spikes(np.array([0.00125]), np.array([4]))
 SPIKES = Spikes(np.array([0.0, 0.0, 0.00125, 0.5]), np.array([3, 7, 3, 1]))
 
 
@@ -26,7 +27,12 @@ def timeline(**changed) -> Timeline:
     )
     traces |= {"gyroscope": axes_of("rad/s", gyro), "rotor speed": Trace("rad/s", {"rotor 0": 400 + time})}
     given = {"time": time, "vehicle": load_vehicle("hummingbird"), "position": position, "poses": poses}
-    given |= {"gyro": gyro, "accel": accel, "traces": traces, "spikes": {"vectors": SPIKES}}
+    given |= {
+        "gyro": gyro,
+        "accel": accel,
+        "traces": traces,
+        "spikes": {"vectors": SPIKES, "my gates": GATES},
+    }
     return Timeline(**given | {"target": position, "wind": position} | changed)
 
 
@@ -83,7 +89,7 @@ def test_topics_of_an_mcap_file_keep_their_schemas_and_the_order_of_time(tmp_pat
         "/frames/my_est": "foxglove.FrameTransform",
         "/scene": "foxglove.SceneUpdate",
         "/imu": "sensor_msgs/Imu",
-        "/spikes/vectors": "spikes",
+        "/spikes": "spikes",
     }
     assert all(
         set(message) <= set(schemas[topic][1]) for topic, messages in found.items() for message in messages
@@ -97,8 +103,9 @@ def test_topics_of_an_mcap_file_keep_their_schemas_and_the_order_of_time(tmp_pat
         "my_est_minus_sigma",
     }
     assert "true" not in found["/traces/roll"][0]
-    assert [each["neurons"] for each in found["/spikes/vectors"]] == [[3, 7], [3], [1]]
-    assert found["/spikes/vectors"][1]["timestamp"] == {"sec": 0, "nsec": 1_250_000}
+    assert [each["vectors"] for each in found["/spikes"]] == [[3, 7], [3], [1]]
+    assert ["my_gates" in each for each in found["/spikes"]] == [False, True, False]
+    assert found["/spikes"][1]["timestamp"] == {"sec": 0, "nsec": 1_250_000}
     (scene,) = found["/scene"]
     assert [each["frame_id"] for each in scene["entities"]] == ["body", "my est"]
     frames = [{each["child_frame_id"] for each in found[f"/frames/{name}"]} for name in ("body", "my_est")]
