@@ -15,18 +15,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .timeline import BODY, Array, Spikes, Timeline, outline
+from .timeline import BODY, COLOURS, Array, Spikes, Timeline, outline
 
 Json = dict[str, Any]
-IMU = "sensor_msgs/Imu"
-NO_ORIENTATION = [-1.0] + 8 * [0.0]
-"""What a message of ROS has for a sensor without an orientation."""
+IMU, SCENE = "sensor_msgs/Imu", "foxglove.SceneUpdate"
+NO_ORIENTATION = [-1.0] + 8 * [0.0]  # as ROS has it for a sensor without one
+OTHER_SHAPES = "metadata", "arrows", "cubes", "spheres", "cylinders", "triangles", "texts", "models"
 ORIGIN = {"x": 0.0, "y": 0.0, "z": 0.0}
 AT_ORIGIN = {"position": ORIGIN, "orientation": ORIGIN | {"w": 1.0}}
-COLOURS = {
-    "true": {"r": 0.93, "g": 0.36, "b": 0.09, "a": 1.0},
-    "estimate": {"r": 0.1, "g": 0.55, "b": 0.95, "a": 1.0},
-}
+LINE: Json = {"type": 0, "pose": AT_ORIGIN, "thickness": 0.008, "scale_invariant": False}
+LINE |= {"colors": [], "indices": []}
 JSON_TYPES = {bool: "boolean", int: "integer", float: "number", str: "string"}
 
 
@@ -44,11 +42,10 @@ class Topic(NamedTuple):
             yield ns, self.name, self.stamped(ns, content)
 
     def stamped(self, ns: int, content: Json) -> Json:
-        """A content with its stamp, as ROS has it for an IMU, or else as Foxglove has it."""
+        """A content with its stamp, as ROS has it for an IMU, and as Foxglove has it."""
         stamp = {"sec": ns // 10**9, "nsec": ns % 10**9}
-        if self.schema == IMU:
-            return {"header": {"stamp": stamp, "frame_id": BODY}} | content
-        return {"timestamp": stamp} | content
+        heads = {IMU: {"header": {"stamp": stamp, "frame_id": BODY}}, SCENE: {}}
+        return heads.get(self.schema, {"timestamp": stamp}) | content
 
 
 def write(path: Path, timeline: Timeline) -> None:
@@ -75,7 +72,7 @@ def write(path: Path, timeline: Timeline) -> None:
 
 
 def _topics(timeline: Timeline) -> Iterator[Topic]:
-    yield Topic("/scene", "foxglove.SceneUpdate", timeline.time[:1], [_scene(timeline)])
+    yield Topic("/scene", SCENE, timeline.time[:1], [_scene(timeline)])
     for name, quat in timeline.poses.items():
         known = np.isfinite(np.hstack([timeline.position, quat])).all(axis=1)
         time, frames = timeline.time[known], {"parent_frame_id": "world", "child_frame_id": name}
@@ -112,13 +109,15 @@ def _spikes(populations: Mapping[str, Spikes]) -> Topic:
 
 def _scene(timeline: Timeline) -> Json:
     """Outlines that move with the frames of the poses."""
-    entities, shape = [], [{"points": _rows("xyz", points)} for points in outline(timeline.vehicle)]
+    start, entities = {"sec": 0, "nsec": 0}, []
+    strips = [LINE | {"points": _rows("xyz", points)} for points in outline(timeline.vehicle)]
     for name in timeline.poses:
-        line = {"type": 0, "pose": AT_ORIGIN, "thickness": 0.008, "scale_invariant": False}
-        line["color"] = COLOURS["true" if name == BODY else "estimate"]
-        still = {"timestamp": {"sec": 0, "nsec": 0}, "frame_id": name, "id": name, "frame_locked": True}
-        entities.append(still | {"lines": [line | points for points in shape]})
-    return {"entities": entities}
+        rgb = COLOURS["true" if name == BODY else "estimate"]
+        line = {"color": dict(zip("rgba", [*(each / 255 for each in rgb), 1.0], strict=True))}
+        entity = {"timestamp": start, "lifetime": start, "frame_id": name, "id": name, "frame_locked": True}
+        entity |= {other: [] for other in OTHER_SHAPES}
+        entities.append(entity | {"lines": [strip | line for strip in strips]})
+    return {"entities": entities, "deletions": []}
 
 
 def _rows(names: Iterable[str], values: Array) -> list[Json]:

@@ -4,11 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .timeline import BODY, Array, Timeline, outline
+from .timeline import BODY, COLOURS, Array, Timeline, outline
 
-COLOURS = {
-    "true": (237, 92, 23), "estimate": (25, 140, 242), "target": (25, 190, 76), "wind": (115, 64, 217),
-}  # fmt: skip
 WIND_SCALE = 0.06
 """Length of the wind's arrow, metres for each m/s."""
 

@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 
 BODY = "body"
 """Name of the true pose."""
+COLOURS = {"true": (237, 92, 23), "estimate": (25, 140, 242), "target": (25, 190, 76), "wind": (115, 64, 217)}
 
 
 class Trace(NamedTuple):

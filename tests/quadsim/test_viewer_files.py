@@ -14,6 +14,11 @@ from quadsim.vehicle import load_vehicle
 
 GATES = Spikes(np.array([0.00125]), np.array([4]))
 SPIKES = Spikes(np.array([0.0, 0.0, 0.00125, 0.5]), np.array([3, 7, 3, 1]))
+REQUIRED = {
+    *("timestamp", "frame_id", "id", "lifetime", "frame_locked", "metadata", "arrows", "cubes", "spheres"),
+    *("cylinders", "lines", "triangles", "texts", "models"),
+}
+"""What Foxglove's schema requires of an entity of a scene."""
 
 
 def timeline(**changed) -> Timeline:
@@ -107,6 +112,8 @@ def test_topics_of_an_mcap_file_keep_their_schemas_and_the_order_of_time(tmp_pat
     assert ["my_gates" in each for each in found["/spikes"]] == [False, True, False]
     assert found["/spikes"][1]["timestamp"] == {"sec": 0, "nsec": 1_250_000}
     (scene,) = found["/scene"]
+    assert set(scene) == {"entities", "deletions"}
+    assert all(set(each) == REQUIRED for each in scene["entities"])
     assert [each["frame_id"] for each in scene["entities"]] == ["body", "my est"]
     frames = [{each["child_frame_id"] for each in found[f"/frames/{name}"]} for name in ("body", "my_est")]
     assert frames == [{"body"}, {"my est"}]
