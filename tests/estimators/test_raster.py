@@ -28,6 +28,9 @@ def test_the_raster_of_the_circuit_has_the_spikes_that_it_counts(readings):
     }
     assert set(raster) == {"vectors", "innovations", "gates", "bias"}
     assert events["vectors"] > 1000
+    positive = raster["vectors"].neuron % 2 == 0  # the vectors begin upright, and z spikes first
+    assert positive[:20].all()
+    assert not positive.all()
     times = raster["vectors"].time
     assert (np.diff(times) >= 0).all()
     assert times[-1] < 2.0
