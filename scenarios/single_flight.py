@@ -1,4 +1,4 @@
-"""One scenario with one estimator in detail: a report, every sample as CSV, and a video."""
+"""One scenario with one estimator in detail: a report, every sample as CSV, a video and files for viewers."""
 
 import re
 from collections.abc import Callable
@@ -9,8 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.analysis.raster import spikes_of
+from quadsim.flight.mission import Mission
 from quadsim.flight.scenario import changed, load_scenario
 from quadsim.pictures.film import Marks, film
+from quadsim.pictures.timeline import Timeline, Trace, attitudes, axes_of
 from quadsim.rotation import quat_from_euler
 from quadsim.runs.files import write_csv
 from quadsim.runs.fingerprint import content_digest
@@ -25,6 +28,8 @@ from .report.page import write_report
 COLUMNS = ("t", "x", "y", "z", "roll", "pitch", "yaw", "roll_est", "pitch_est", "x_ref", "y_ref", "z_ref")
 """Columns of the CSV file: SI units and radians."""
 ONE_FLIGHT = FlightSettings()
+BIASES = {"": "bias", " estimated": "bias_est"}
+"""What the curves of the gyroscope's bias are called, and which signals they are."""
 
 
 def file_name(name: str) -> str:
@@ -52,6 +57,7 @@ def fly_scenario(
     flight: int = 0,
     video: bool = False,
     progress: Callable[[int, int], object] | None = None,
+    show: Callable[[Timeline], object] | None = None,
 ) -> SingleFlight:
     """Simulate a scenario with attitude from one estimator, and write report, samples and video.
 
@@ -64,6 +70,7 @@ def fly_scenario(
         flight: Number of the first flight, as in the flights.parquet of a benchmark of the same seed.
         video: Whether to make a video of the first flight.
         progress: Called after each frame of the video with the number of frames done and of all.
+        show: Called with what viewers show of the first flight.
 
     Raises:
         ValueError: For a bad argument or scenario file.
@@ -73,7 +80,11 @@ def fly_scenario(
     """
     scenario, name = changed(load_scenario(source), changes), Path(source).name.removesuffix(".toml")
     mission = mission_of(scenario, estimator, settings)
-    flown = fly(mission, settings.seed, flight)
+    flown = fly(mission, settings.seed, flight, every_sample=show is not None)
+    if show is not None:
+        show(timeline_of(flown, mission, estimator))
+        every = decimation(mission.rate_hz)
+        flown = flown._replace(signals={name: each[::every] for name, each in flown.signals.items()})
     cell = make_cell(name, estimator, mission, flown)
     results = Results({name: scenario}, [estimator], settings, [cell])
     out = Path(out).expanduser()
@@ -103,3 +114,38 @@ def marks_of(flight: NDArray[np.void], flown: Flown, rate_hz: float) -> Marks:
     wind = np.stack([flown.signals[f"wind_{axis}"] for axis in "xyz"], axis=-1)
     wind = np.repeat(wind, decimation(rate_hz), axis=0)[: len(flight)]
     return Marks(quat_from_euler(roll, pitch, flight["euler"][:, 2]), flight["target"], np.nan_to_num(wind))
+
+
+def timeline_of(flown: Flown, mission: Mission, name: str) -> Timeline:
+    """What viewers show of a mission's first flight, whose signals were taken at every sample."""
+    first = flown.log[0, : max(flown.end[0], 1)]
+    signals = {key: each[: len(first)] for key, each in flown.signals.items()}
+
+    def vector(key: str) -> NDArray[np.float64]:
+        return np.stack([signals[f"{key}_{axis}"] for axis in "xyz"], axis=1)
+
+    gyro, accel, sigma = np.radians(vector("gyro")), vector("accel"), {}
+    if np.isfinite(signals["roll_sigma"]).any():
+        sigma[name] = np.radians(np.stack([signals["roll_sigma"], signals["pitch_sigma"]], axis=1))
+    poses, traces = attitudes(first["euler"], {name: first["estimate"]}, sigma)
+    places = {"": first["position"], " set-point": first["target"]}
+    curves = {f"{axis}{which}": each[:, k] for k, axis in enumerate("xyz") for which, each in places.items()}
+    bias = {
+        f"{axis}{which}": vector(key)[:, k] for k, axis in enumerate("xyz") for which, key in BIASES.items()
+    }
+    rotors = {f"rotor {k}": speed for k, speed in enumerate(first["rotor_vel"].T)}
+    traces |= {
+        "position": Trace("m", curves),
+        "gyroscope": axes_of("rad/s", gyro),
+        "accelerometer": axes_of("m/s²", accel),
+        "gyroscope bias": Trace(
+            "deg/s", {label: each for label, each in bias.items() if np.isfinite(each).any()}
+        ),
+        "wind": axes_of("m/s", vector("wind")),
+        "rotor speed": Trace("rad/s", rotors),
+    }
+    time = np.arange(len(first)) / mission.rate_hz
+    return Timeline(
+        time, mission.vehicle, first["position"], poses, gyro, accel, traces,
+        target=first["target"], wind=vector("wind"), spikes=spikes_of(mission.estimator, gyro, accel),
+    )  # fmt: skip

@@ -15,13 +15,13 @@ HOW = {
     "scenarios": "quadsim fly NAME; quadsim bench --scenario NAME",
     "estimators": "--estimator NAME; also weights, or your own: file.py:Class, module:Class",
     "controllers": "--controller NAME; also weights, or your own: file.py:make, module:make",
-    "vehicles": "--set vehicle=NAME, or a TOML file; quadsim evaluate --vehicle NAME",
+    "vehicles": "--set vehicle=NAME, or a TOML file",
     "imus": "--set imu=NAME, or a TOML file",
     "externals": "quadsim bench --set external=NAME, or a TOML file",
     "recipes": "quadsim generate --recipe NAME, or a TOML file",
     "presets": "quadsim train --preset NAME, or a TOML file",
     "tasks": "quadsim bench --task NAME, or a TOML file",
-    "tuning": "--set tuning=NAME, or a file written by quadsim tune; quadsim evaluate --tuning NAME",
+    "tuning": "--set tuning=NAME, or a file written by quadsim tune",
     "weights": "--estimator NAME; quadsim report NAME; quadsim export NAME",
 }
 """Kinds of names that can be listed, and the commands and options that accept a name."""

@@ -32,6 +32,20 @@ class Conditions(Sampling):
         return {name: value for name, value in given.items() if value is not None}
 
 
+class Filters(Strict):
+    """Parameters of filters on recorded flights, as set by `--set`."""
+
+    tuning: str | None = None
+    """A shipped name or a file of `quadsim tune`; None selects those of the vehicle."""
+    vehicle: str | None = None
+    """For ekf-drag, a shipped name or a TOML file; None for the dataset's, and for logs none."""
+
+
+def filters_of(texts: Sequence[str] | None) -> Filters:
+    """Parameters of filters given by `--set`."""
+    return parse(fields_of(texts), Filters, "--set")
+
+
 class Recordings(Strict):
     """What `--set` may say of a task: nothing that changes it."""
 

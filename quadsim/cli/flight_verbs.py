@@ -8,7 +8,7 @@ import typer
 
 from ..runs.console import progress_bar, say
 from ..runs.files import alone
-from .options import OWN_CONTROLLER, ConditionFields, Duration, Pool, Seed, Workers
+from .options import OWN_CONTROLLER, ConditionFields, Duration, Mcap, Pool, Rerun, Seed, Workers
 
 
 def fly(
@@ -32,16 +32,21 @@ def fly(
         int, typer.Option(min=0, max=9999, help="First flight, by its number in flights.parquet of bench.")
     ] = 0,
     video: Annotated[bool, typer.Option("--video", help="Write an MP4 of the first flight.")] = False,
+    rerun: Rerun = None,
+    mcap: Mcap = None,
 ) -> None:
     """Fly one scenario with attitude from one estimator; write a report and all samples as CSV.
 
     Example: quadsim fly wind-gust --estimator att-snn-loihi --video
+
+    Example: quadsim fly figure-8 --estimator eskf --rerun flight.rrd --mcap flight.mcap
     """
     from scenarios.bench.cell import FlightSettings
     from scenarios.bench.controllers import contender
     from scenarios.single_flight import file_name, fly_scenario
     from scenarios.verbs import warn
 
+    from ..pictures.timeline import viewer_files
     from .conditions import conditions_of
 
     estimator = contender(estimator, controller)
@@ -49,7 +54,11 @@ def fly(
     parts = (scenario, estimator, *filter(None, (given.vehicle, given.imu, given.tuning)))
     folder = out or Path("reports") / "-".join(["fly", *map(file_name, parts)])
     try:
-        with alone(folder), progress_bar("video", "frames") if video else nullcontext() as bar:
+        with (
+            alone(folder),
+            viewer_files(rerun, mcap) as show,
+            progress_bar("video", "frames") if video else nullcontext() as bar,
+        ):
             done = fly_scenario(
                 scenario,
                 estimator,
@@ -59,6 +68,7 @@ def fly(
                 flight=flight,
                 video=video,
                 progress=bar,
+                show=show,
             )
     except RuntimeError as error:  # no OpenGL for the video
         raise ValueError(str(error)) from error

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -55,8 +56,15 @@ Mount = Annotated[
 Truth = Annotated[
     str | None, typer.Option(help="Topic or folder of the true attitude; default: the best in the log.")
 ]
-Imu = Annotated[str | None, typer.Option(help="Topic of the IMU in a ROS bag.")]
+Imu = Annotated[str | None, typer.Option(help="Topic of the IMU in a ROS bag or MCAP.")]
 Force = Annotated[bool, typer.Option("--force", help="For logs: use them even if units or axes look wrong.")]
+Rerun = Annotated[
+    Path | None,
+    typer.Option(help="Write a recording for the viewer rerun, .rrd, of the first flight or the log."),
+]
+Mcap = Annotated[
+    Path | None, typer.Option(help="Write the same as MCAP, which Foxglove opens and quadsim reads as a log.")
+]
 Duration = Annotated[float | None, typer.Option(min=0.1, help="Length in seconds; default: the scenario's.")]
 OWN_CONTROLLER = (
     "Attitude controller: cascaded, a spiking controller's weights, or your own file.py:make, a function of "

@@ -7,7 +7,7 @@ import typer
 
 from ..runs.console import print_table, progress_bar, say
 from ..runs.files import alone
-from .options import Force, Mount, Seed, Workers
+from .options import Force, Mcap, Mount, Rerun, Seed, Workers
 
 
 def evaluate(
@@ -27,14 +27,15 @@ def evaluate(
         typer.Option(min=1, max=180, help="For logs: largest true inclination scored, in degrees."),
     ] = 45.0,
     mount: Mount = None,
-    tuning: Annotated[
-        str | None,
-        typer.Option(help="Filter parameters: a shipped name or a TOML file; default: the vehicle's."),
-    ] = None,
-    vehicle: Annotated[
-        str | None,
+    rerun: Rerun = None,
+    mcap: Mcap = None,
+    set_: Annotated[
+        list[str] | None,
         typer.Option(
-            help="For ekf-drag: a shipped name or a TOML file; default: the dataset's, for logs none."
+            "--set",
+            help="Parameters of filters, as name=value: tuning (a shipped name or a file from quadsim tune; "
+            "default: the vehicle's) or vehicle (for ekf-drag: a shipped name or a TOML file; default: the "
+            "dataset's, for logs none). Repeat for more.",
         ),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for table, figures and report.")] = Path(
@@ -55,17 +56,28 @@ def evaluate(
     If a dataset or a log has rotor speeds, imm and your own estimators can use them.
 
     Example: quadsim evaluate --data data/test.zarr --estimator mahony --estimator att-snn-loihi
+
+    Example: quadsim evaluate --logs flight.ulg --estimator imm --rerun flight.rrd
     """
+    from .conditions import filters_of
+
+    tuning, vehicle = filters_of(set_).tuning, filters_of(set_).vehicle
     if (data is None) == (not logs):
         raise ValueError("one of --data and --logs is required")
+    if (rerun or mcap) and len(logs or ()) != 1:
+        raise ValueError("--rerun and --mcap show one log: give one --logs")
     if logs:
         import numpy as np
 
         from scenarios.log_report.evaluate import evaluate_logs
 
+        from ..pictures.timeline import viewer_files
+
         # of numbers that no sensor has, which are refused
-        with alone(out), np.errstate(over="ignore", invalid="ignore"):
-            evaluate_logs(logs, out, estimator, tuning, vehicle, within_deg=within, mount=mount, force=force)
+        with alone(out), np.errstate(over="ignore", invalid="ignore"), viewer_files(rerun, mcap) as show:
+            evaluate_logs(
+                logs, out, estimator, tuning, vehicle, within_deg=within, mount=mount, force=force, show=show
+            )
         return
     if mount is not None:
         raise ValueError("--mount is of the IMU of --logs; a dataset is in body axes")

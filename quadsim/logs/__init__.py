@@ -8,7 +8,9 @@ import xarray as xr
 
 from .cleaning import split
 from .log_report import LogReport
+from .readers.blackbox import read_blackbox
 from .readers.broad import read_broad
+from .readers.dataflash import read_dataflash
 from .readers.euroc import euroc_folder, read_euroc
 from .readers.rosbag import read_rosbag
 from .readers.table import read_table
@@ -27,9 +29,18 @@ __all__ = [
 ]
 
 FORMATS = (
-    ".ulg (PX4), an EuRoC folder, .hdf5, .mat or .npz (BROAD), .bag, .db3, .mcap or a bag's folder (ROS), "
-    "a file of the Crazyflie's uSD deck, or .toml (the column map of a CSV)"
+    ".ulg (PX4), .bin (ArduPilot), .bbl or .bfl (Betaflight), an EuRoC folder, .hdf5, .mat or .npz (BROAD), "
+    ".bag, .db3, .mcap or a bag's folder (ROS, Foxglove), a file of the Crazyflie's uSD deck, or .toml (the "
+    "column map of a CSV)"
 )
+
+BY_SUFFIX = {
+    **dict.fromkeys((".hdf5", ".h5", ".mat", ".npz"), read_broad),
+    **dict.fromkeys((".bbl", ".bfl"), read_blackbox),
+    ".bin": read_dataflash,
+    ".toml": read_table,
+}
+"""Readers of formats that offer no choice of topics."""
 
 
 def read_log(
@@ -47,7 +58,7 @@ def read_log(
         rate_hz: Samples per second of the result.
         mount: Rotation from IMU to body axes, for an IMU that is mounted in another way: see `mount_matrix`.
         truth: Topic or folder to take for the true attitude; None for the best that is there.
-        imu: Topic of the IMU in a ROS bag; None for the one with the most messages.
+        imu: Topic of the IMU in a ROS bag or MCAP; None for the one with the most messages.
 
     Returns:
         One flight with gyro [rad/s] and accel [m/s²] in FLU body axes, NaN in the log's gaps; quat (body to
@@ -105,17 +116,15 @@ def _read(path: Path, truth: str | None, imu: str | None) -> Recording:
     if suffix in (".bag", ".db3", ".mcap") or (path / "metadata.yaml").is_file():
         return read_rosbag(path, imu, truth)
     if imu is not None:
-        raise ValueError(f"{path}: an IMU topic can be chosen in a ROS bag only")
+        raise ValueError(f"{path}: an IMU topic can be chosen in ROS bags and MCAP only")
     if suffix == ".ulg":
         return read_ulog(path, truth)
     if path.is_dir() and euroc_folder(path) is not None:
         return read_euroc(path, truth)
     if truth is not None:
-        raise ValueError(f"{path}: the truth can be chosen in ULog, EuRoC folders and ROS bags only")
-    if suffix in (".hdf5", ".h5", ".mat", ".npz"):
-        return read_broad(path)
-    if suffix == ".toml":
-        return read_table(path)
+        raise ValueError(f"{path}: the truth can be chosen in ULog, EuRoC folders, ROS bags and MCAP only")
+    if (read := BY_SUFFIX.get(suffix)) is not None:
+        return read(path)
     if is_usdlog(path):
         return read_usdlog(path)
     hint = "; write a column map for it, see docs/reference/logs.md" if suffix == ".csv" else ""

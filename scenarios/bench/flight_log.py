@@ -34,7 +34,9 @@ class Flown(NamedTuple):
 
     log: Log  #: (n, T) of `log_dtype`; what follows a crash means nothing
     end: NDArray[np.int64]  #: samples of each flight before its crash, (n,); T without one
-    signals: Mapping[str, Array]  #: of the first flight at `series.SERIES_HZ`; NaN without a value
+    signals: Mapping[
+        str, Array
+    ]  #: of the first flight at `SERIES_HZ` or at every sample; NaN without a value
 
 
 @cache
@@ -54,10 +56,13 @@ def log_dtype(rotors: int) -> np.dtype[np.void]:
     )
 
 
-def fly(mission: Mission, seed: int, first: int = 0) -> Flown:
-    """Simulate a mission; its flights are those with the numbers `first`, `first` + 1, ... of the seed."""
+def fly(mission: Mission, seed: int, first: int = 0, *, every_sample: bool = False) -> Flown:
+    """Simulate a mission; its flights are those with the numbers `first`, `first` + 1, ... of the seed.
+
+    Signals are taken at `SERIES_HZ`, or at every sample.
+    """
     mission.begin(vehicle_seeds(seed, first + mission.n)[first:])
-    rotors, every = len(mission.vehicle.rotors), decimation(mission.rate_hz)
+    rotors, every = len(mission.vehicle.rotors), 1 if every_sample else decimation(mission.rate_hz)
     log, signals = np.zeros((mission.steps, mission.n), log_dtype(rotors)), []
     last_command = mission.controller.rotor_vel_cmd.copy()
     end = np.full(mission.n, mission.steps)

@@ -1,7 +1,7 @@
 """Estimators scored on real logs: tables, a CSV and a page, `quadsim evaluate --logs`."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from estimators.evaluation.comparison import made_of
@@ -9,9 +9,11 @@ from estimators.evaluation.logs import NO_ATTITUDE, default_names, score_logs, u
 from estimators.tuned import DEFAULT_DOMAIN
 from quadsim.logs import read_log, refused
 from quadsim.logs.log_report import UNSCORED
+from quadsim.pictures.timeline import Timeline
 from quadsim.runs.console import print_table, progress_bar, say
 
 from .log_page import write_log_report
+from .log_timeline import timeline_of_log
 from .log_verdict import log_verdict
 
 
@@ -25,6 +27,7 @@ def evaluate_logs(
     within_deg: float = 45.0,
     mount: str | None = None,
     force: bool = False,
+    show: Callable[[Timeline], object] | None = None,
 ) -> None:
     """Score estimators on logs: `quadsim evaluate --logs`.
 
@@ -37,6 +40,7 @@ def evaluate_logs(
         within_deg: Largest true inclination that is scored [deg].
         mount: Rotation from IMU to body axes, as `quadsim.logs.recording.mount_matrix` takes it.
         force: Score a log although a unit or frame cannot be right.
+        show: Called with what viewers show of the first log.
 
     Raises:
         ValueError: A unit or frame of a log cannot be right, and `force` is not given; or no log has a sample
@@ -65,6 +69,8 @@ def evaluate_logs(
     made = made_of(names or default_names(vehicle is not None), rate_hz, tuning, vehicle)
     with progress_bar("evaluate", "runs") as bar:
         scores = score_logs(logs, made, within_deg=within_deg, progress=bar)
+    if show is not None:
+        show(timeline_of_log(logs[0], scores.logs[str(logs[0].attrs["source"])], made, vehicle))
     if tuning is not None:
         scores.tuning = f"Filters have the parameters of {tuning}."
     else:

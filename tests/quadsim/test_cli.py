@@ -142,6 +142,11 @@ def test_every_verb_has_help_of_its_own():
         ("identify nowhere.zarr --vehicle hummingbrd", "hummingbird"),
         ("list scenario", 'unknown kind "scenario"; did you mean "scenarios"?'),
         ("fly hoover", "hover"),
+        ("fly hover --rerun x.mp4", "x.mp4: should end in .rrd"),
+        ("fly hover --mcap /proc/x.mcap", "/proc/"),
+        ("evaluate --data missing.zarr --mcap x.mcap", "show one log"),
+        ("evaluate --logs a --logs b --rerun x.rrd", "show one log"),
+        ("evaluate --data missing.zarr --set tunning=x", 'did you mean "tuning"'),
         ("fly hover --estimator mahoni", "mahony"),
         ("bench --scenario hover --estimator mahoni", "mahony"),
         ("bench --scenario missing.toml", "missing.toml"),
@@ -176,7 +181,7 @@ def test_tuning_writes_the_whole_command_and_evaluation_reads_the_values(printed
     text = (tmp_path / "mine.toml").read_text()
     assert "--particles 3 --iterations 2 --flights 1 --initial known --seed 5" in text
     assert quadsim("tune", "--estimator", "truth", "--data", dataset, "--out", "x.toml")[0] == 2
-    given = ["--data", dataset, "--estimator", "madgwick", "--tuning", tmp_path / "mine.toml"]
+    given = ["--data", dataset, "--estimator", "madgwick", "--set", f"tuning={tmp_path / 'mine.toml'}"]
     out = printed("evaluate", *given, "--out", tmp_path / "scores")
     assert "the smallest error from an unknown start is madgwick's" in out
     assert {each.name for each in (tmp_path / "scores").iterdir()} == {
@@ -294,18 +299,42 @@ def test_a_fault_after_the_end_of_the_flight_is_warned_of(quadsim):
     assert "gyro-bias-step ends at 0.5 s, before its fault gyro-bias-step at 6 s" in (out + err)
 
 
+def test_a_flight_and_estimators_on_its_log_are_written_for_viewers(printed, tmp_path):
+    pytest.importorskip("mcap")
+    flown = ["--estimator", "eskf", "--duration", 4, "--out", "out", "--mcap", "flight.mcap"]
+    printed("fly", "wind-gust", *flown)
+    said = printed("evaluate", "--logs", "flight.mcap", "--estimator", "eskf", "--mcap", "log.mcap")
+    assert "the smallest error" in said or "eskf" in said
+    with (tmp_path / "flight.mcap").open("rb") as first, (tmp_path / "log.mcap").open("rb") as second:
+        topics = [topics_of(each) for each in (first, second)]
+    assert topics[0] - topics[1] == {
+        f"/traces/{name}" for name in ("position", "gyroscope_bias", "wind", "rotor_speed")
+    }
+    assert {"/body", "/frames/eskf", "/imu", "/scene", "/traces/roll"} <= topics[1]
+    assert topics[1] < topics[0]
+
+
+def topics_of(stream):
+    from mcap.reader import make_reader
+
+    return {channel.topic for channel in make_reader(stream).get_summary().channels.values()}
+
+
 @pytest.mark.parametrize(
     ("module", "package", "extra", "command"),
     [
         ("rosbags.rosbag2", "rosbags", "logs", "export flights.zarr --format rosbag2 --out x"),
         ("nir", "nir", "export", "export att-snn-paper --format nir --out x"),
         ("pyulog", "pyulog", "logs", "report x.ulg"),
+        ("mcap.reader", "mcap", "logs", "report x.mcap"),
+        ("rerun", "rerun", "watch", "fly hover --rerun y.rrd"),
     ],
 )
 def test_a_missing_package_is_one_line_with_its_extra(
     quadsim, dataset, tmp_path, monkeypatch, module, package, extra, command
 ):
-    (tmp_path / "x.ulg").touch()
+    for name in ("x.ulg", "x.mcap"):
+        (tmp_path / name).touch()
     monkeypatch.delitem(sys.modules, "estimators.export.nir_graph", raising=False)
     monkeypatch.setitem(sys.modules, module, None)
     code, _, err = quadsim(*command.split())

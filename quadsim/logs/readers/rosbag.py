@@ -1,11 +1,14 @@
-"""ROS 1 and ROS 2 bags, through rosbags: FLU body axes in an ENU world, as REP 103 has it."""
+"""Bags of ROS 1 and 2, and MCAP, through rosbags and mcap: FLU body axes in an ENU world (REP 103)."""
 
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..recording import OWN_ESTIMATE, Recording
+from .mcap import Message, Opened, Topic, open_mcap
 
 IMU = "sensor_msgs/msg/Imu"
 POSES = {
@@ -13,6 +16,7 @@ POSES = {
     "geometry_msgs/msg/PoseWithCovarianceStamped": ("pose.pose", "position", "orientation"),
     "geometry_msgs/msg/TransformStamped": ("transform", "translation", "rotation"),
     "nav_msgs/msg/Odometry": ("pose.pose", "position", "orientation"),
+    "foxglove.PoseInFrame": ("pose", "position", "orientation"),
 }
 """Messages that hold a pose, the most likely motion capture first, and where in them it is."""
 
@@ -26,39 +30,35 @@ def read_rosbag(path: Path, imu: str | None = None, truth: str | None = None) ->
         truth: Topic of the true attitude; None for the first kind of POSES that is there, and failing that
             the orientation in the IMU's own messages.
     """
-    from rosbags.highlevel import AnyReader, AnyReaderError
-    from rosbags.typesys import Stores, get_typestore
-
-    default = get_typestore(Stores.ROS2_HUMBLE)
     in_folder = path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").is_file()
+    alone = path.suffix == ".mcap" and not in_folder and path.is_file()
     readings, poses, own = [], [], []
-    try:
-        with AnyReader([path.parent if in_folder else path], default_typestore=default) as reader:
-            imu_topic = _topic(reader, path, imu, [IMU])
-            if imu_topic is None:
-                raise ValueError(f"{path}: no topic of {IMU}; topics: {_all_topics(reader)}")
-            pose_topic = _topic(reader, path, truth, list(POSES))
-            wanted = [each for each in reader.connections if each.topic in (imu_topic, pose_topic)]
-            for connection, received, raw in reader.messages(connections=wanted):
-                message: Any = reader.deserialize(raw, connection.msgtype)
-                stamp = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9 or received * 1e-9
-                if connection.topic != imu_topic:
-                    poses.append((stamp, *_pose(message, connection.msgtype)))
-                    continue
-                readings.append((stamp, *_xyz(message.angular_velocity), *_xyz(message.linear_acceleration)))
-                q = message.orientation
-                if message.orientation_covariance[0] != -1.0 and abs(q.w) + sum(map(abs, _xyz(q))) > 0.5:
-                    own.append((stamp, q.w, *_xyz(q)))
-    except AnyReaderError as error:
-        raise ValueError(f"{path}: {error}") from error
+    with open_mcap(path) if alone else _open_bag(path.parent if in_folder else path) as (topics, read):
+        imu_topic = _topic(topics, path, imu, [IMU])
+        if imu_topic is None:
+            raise ValueError(f"{path}: no topic of {IMU}; topics: {_all_topics(topics)}")
+        pose_topic = _topic(topics, path, truth, list(POSES))
+        for topic, received, message in read([each.name for each in (imu_topic, pose_topic) if each]):
+            stamp = _stamp(message) or received
+            if topic.name != imu_topic.name:
+                poses.append((stamp, *_pose(message, topic.kind)))
+                continue
+            readings.append((stamp, *_xyz(message.angular_velocity), *_xyz(message.linear_acceleration)))
+            q, covariance = (getattr(message, f"orientation{each}", None) for each in ("", "_covariance"))
+            if q is None or (covariance is not None and covariance[0] == -1.0):
+                continue
+            if abs(q.w) + sum(map(abs, _xyz(q))) > 0.5:
+                own.append((stamp, q.w, *_xyz(q)))
     time, gyro, accel = _columns(readings, 1, 3, 3)
-    log = Recording(path.name, "ROS bag", time[:, 0], gyro, accel, notes=(f"IMU from {imu_topic}",))
-    if poses:
+    kind, notes = "MCAP" if alone else "ROS bag", (f"IMU from {imu_topic.name}",)
+    log = Recording(path.name, kind, time[:, 0], gyro, accel, notes=notes)
+    if poses and pose_topic:
         time, position, quat = _columns(poses, 1, 3, 4)
-        return log.with_truth(f"{pose_topic}: poses", time[:, 0], quat, position)
+        return log.with_truth(f"{pose_topic.name}: poses", time[:, 0], quat, position)
     if own:
         time, quat = _columns(own, 1, 4)
-        return log.with_truth(f"{imu_topic}: the sensor's {OWN_ESTIMATE}", time[:, 0], quat, own_axes=True)
+        own_estimate = f"{imu_topic.name}: the sensor's {OWN_ESTIMATE}"
+        return log.with_truth(own_estimate, time[:, 0], quat, own_axes=True)
     return log
 
 
@@ -79,14 +79,42 @@ def _columns(rows: list[tuple[float, ...]], *widths: int) -> list[np.ndarray]:
     return np.split(np.array(rows, np.float64), np.cumsum(widths)[:-1], axis=1)
 
 
-def _topic(reader: Any, path: Path, asked: str | None, kinds: list[str]) -> str | None:
+def _stamp(message: Any) -> float:
+    """When a message was measured [s]; 0 where it does not say."""
+    stamp = message.header.stamp if hasattr(message, "header") else getattr(message, "timestamp", None)
+    if stamp is None:
+        return 0.0
+    return stamp.sec + (stamp.nanosec if hasattr(stamp, "nanosec") else stamp.nsec) * 1e-9
+
+
+@contextmanager
+def _open_bag(path: Path) -> Iterator[Opened]:
+    """Topics and messages of a bag, as `open_mcap` has them."""
+    from rosbags.highlevel import AnyReader, AnyReaderError
+    from rosbags.typesys import Stores, get_typestore
+
+    try:
+        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            topics = {each.id: Topic(each.topic, each.msgtype, each.msgcount) for each in reader.connections}
+
+            def messages(wanted: Collection[str]) -> Iterator[Message]:
+                chosen = [each for each in reader.connections if each.topic in wanted]
+                for connection, received, raw in reader.messages(connections=chosen):
+                    message = reader.deserialize(raw, connection.msgtype)
+                    yield topics[connection.id], received * 1e-9, message
+
+            yield list(topics.values()), messages
+    except AnyReaderError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def _topic(topics: list[Topic], path: Path, asked: str | None, kinds: list[str]) -> Topic | None:
     """The topic asked for, or else that of the first kind with the most messages; None if there is none."""
-    found = [each for each in reader.connections if each.msgtype in kinds and asked in (None, each.topic)]
+    found = [each for each in topics if each.kind in kinds and asked in (None, each.name)]
     if asked is not None and not found:
-        raise ValueError(f'{path}: no topic "{asked}" of the right kind; topics: {_all_topics(reader)}')
-    found.sort(key=lambda each: (kinds.index(each.msgtype), -each.msgcount, each.topic))
-    return found[0].topic if found else None
+        raise ValueError(f'{path}: no topic "{asked}" of the right kind; topics: {_all_topics(topics)}')
+    return min(found, key=lambda each: (kinds.index(each.kind), -each.messages, each.name), default=None)
 
 
-def _all_topics(reader: Any) -> str:
-    return ", ".join(sorted(f"{each.topic} ({each.msgtype})" for each in reader.connections)) or "none"
+def _all_topics(topics: list[Topic]) -> str:
+    return ", ".join(sorted(f"{each.name} ({each.kind})" for each in topics)) or "none"

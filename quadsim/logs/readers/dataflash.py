@@ -1,0 +1,142 @@
+"""ArduPilot's DataFlash logs (.bin): FRD body axes in an NED world.
+
+Layout (ArduPilot, libraries/AP_Logger/LogStructure.h), little-endian: messages of 0xA3, 0x95, a type and its
+values; messages of type 128, FMT, give the length, name, codes of the values and their names of each type.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...rotation import quat_from_euler
+from ...runs.compiled import njit
+from ..recording import OWN_ESTIMATE, Array, Recording, Track, from_frd
+
+FMT = 128
+CODES = {
+    **{"b": "i1", "B": "u1", "M": "u1", "h": "i2", "H": "u2", "i": "i4", "I": "u4", "q": "i8", "Q": "u8"},
+    **{"c": "i2", "C": "u2", "e": "i4", "E": "u4", "L": "i4", "g": "f2", "f": "f4", "d": "f8"},
+    **{"n": "S4", "N": "S16", "Z": "S64", "a": "S64"},
+}
+"""Code of a value to its type in NumPy; c, C, e and E are hundredths, and none of those is read here."""
+LAYOUT = np.dtype(
+    [("head", "3u1"), ("type", "u1"), ("length", "u1"), ("name", "S4"), ("codes", "S16"), ("names", "S64")]
+)
+"""A message of type FMT."""
+WANTED = ("IMU", "SIM", "ATT", "MAG", "ESC")
+Messages = dict[str, NDArray[np.void]]
+"""Name of a type to its messages, (T,) of a structured type."""
+
+
+def read_dataflash(path: Path) -> Recording:
+    """Read IMU (the first one), the attitude, and the speeds of ESCs and the magnetometer if there are.
+
+    The attitude is that of SIM, the simulator's, or else of ATT, the autopilot's own estimate.
+
+    Args:
+        path: A .bin file.
+
+    Raises:
+        ValueError: Not such a log, or no IMU in it.
+    """
+    found, names, skipped = decode(path.read_bytes())
+    if "IMU" not in found or "TimeUS" not in (found["IMU"].dtype.names or ()):
+        raise ValueError(
+            f"{path}: no IMU with TimeUS in this log; messages: {', '.join(sorted(names)) or 'none'}"
+        )
+    imu = _first(found["IMU"])
+    notes = ["IMU from IMU, the first of them"]
+    if skipped:
+        notes.append(f"damaged: {skipped} bytes are of no message")
+    sensors = _sensors(found)
+    notes += [f"{name} from the log" for name in sensors]
+    gyro, accel = (_columns(imu, *(f"{name}{axis}" for axis in "XYZ")) for name in ("Gyr", "Acc"))
+    log = Recording(path.name, "ArduPilot log", _time(imu), gyro, accel, notes=tuple(notes), sensors=sensors)
+    if "SIM" in found and "Q1" in (found["SIM"].dtype.names or ()):
+        quat = _columns(found["SIM"], "Q1", "Q2", "Q3", "Q4")
+        log = log.with_truth("SIM: the simulator's truth", _time(found["SIM"]), quat)
+    elif "ATT" in found:
+        quat = quat_from_euler(*np.radians(_columns(found["ATT"], "Roll", "Pitch", "Yaw")).T)
+        own = f"ATT: the autopilot's {OWN_ESTIMATE}"
+        log = log.with_truth(own, _time(found["ATT"]), quat, own_axes=True)
+    return from_frd(log)
+
+
+def decode(data: bytes) -> tuple[Messages, set[str], int]:
+    """Messages of the types that are wanted, names of all types that are there, and bytes of no message."""
+    content, messages, names = np.frombuffer(data, np.uint8), {}, set()
+    starts, skipped = _starts(content)
+    kinds = content[starts + 2]
+    for made in _rows(content, starts[kinds == FMT], LAYOUT):
+        begins, name = starts[kinds == made["type"]], made["name"].decode("latin-1")
+        if begins.size and made["type"] != FMT:
+            names.add(name)
+            layout = _layout(made["codes"].decode("latin-1"), made["names"].decode("latin-1").split(","))
+            if name in WANTED and layout is not None and layout.itemsize == made["length"]:
+                messages[name] = _rows(content, begins, layout)
+    return messages, names, skipped
+
+
+@njit(cache=True)
+def _starts(content):
+    """Where messages begin in bytes (N,), (M,), and how many bytes belong to none."""
+    starts, lengths = np.empty(content.size // 3 + 1, np.int64), np.zeros(256, np.int64)
+    lengths[FMT] = 89
+    at, count, skipped = 0, 0, 0
+    while at + 3 <= content.size:
+        kind = content[at + 2]
+        length = lengths[kind] if content[at] == 0xA3 and content[at + 1] == 0x95 else 0
+        if length < 3 or at + length > content.size:
+            at, skipped = at + 1, skipped + 1
+            continue
+        if kind == FMT and content[at + 3] != FMT:
+            lengths[content[at + 3]] = content[at + 4]
+        starts[count] = at
+        at, count = at + length, count + 1
+    return starts[:count], skipped + content.size - at
+
+
+def _rows(
+    content: NDArray[np.uint8], starts: NDArray[np.int64], layout: np.dtype[np.void]
+) -> NDArray[np.void]:
+    """Messages that begin at bytes (M,) of a log, (M,) of their layout."""
+    return content[starts[:, None] + np.arange(layout.itemsize)].view(layout)[:, 0]
+
+
+def _layout(codes: str, names: list[str]) -> np.dtype[np.void] | None:
+    """The layout of a type's messages; None for an unknown code, or names that do not fit."""
+    if len(names) != len(codes) or len({*names}) < len(names) or not {*codes} <= {*CODES}:
+        return None
+    return np.dtype(
+        [("head", "3u1"), *((name, f"<{CODES[code]}") for name, code in zip(names, codes, strict=True))]
+    )
+
+
+def _first(messages: NDArray[np.void]) -> NDArray[np.void]:
+    """Messages of the first sensor of its kind: older logs name one in the type, such as IMU2."""
+    instance = next((name for name in ("I", "Instance") if name in (messages.dtype.names or ())), None)
+    return messages if instance is None else messages[messages[instance] == messages[instance].min()]
+
+
+def _time(messages: NDArray[np.void]) -> Array:
+    return messages["TimeUS"] * 1e-6
+
+
+def _columns(messages: NDArray[np.void], *names: str) -> Array:
+    return np.stack([messages[name].astype(np.float64) for name in names], axis=1)
+
+
+def _sensors(found: Messages) -> dict[str, Track]:
+    """Rotor speeds, in the order of the ESCs and on the stamps of the first, and magnetic field [mG]."""
+    sensors = {}
+    if "ESC" in found and {"Instance", "RPM"} <= {*(found["ESC"].dtype.names or ())}:
+        esc = [
+            found["ESC"][found["ESC"]["Instance"] == number] for number in np.unique(found["ESC"]["Instance"])
+        ]
+        speeds = [np.interp(_time(esc[0]), _time(each), each["RPM"] * (np.pi / 30)) for each in esc]
+        sensors["rotor_vel"] = Track(_time(esc[0]), np.abs(np.stack(speeds, axis=1)))
+    if "MAG" in found:
+        mag = _first(found["MAG"])
+        sensors["mag"] = Track(_time(mag), _columns(mag, "MagX", "MagY", "MagZ") * 1e-7)
+    return sensors
