@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ..imu.stream import simulate_readings
 from ..motion.rotors import state_dtype
 from ..seeding import children
-from ..vehicle import randomise
+from .domain import Domain, domains, scale_wind
 from .ground import start_on_ground
 from .hand_held import move_by_hand
 from .loop import FlightLoop
@@ -39,30 +39,34 @@ def simulate_flights(
         that diverges holds its last valid sample), with `end_reason`, "" for a whole flight.
     """
     parts = [children(seeds, part) for part in range(6)]
-    motion, _, _, imu, _, ground = parts
+    motion, body, _, imu, _, ground = parts
+    drawn = domains(config.vehicle, config.imu, config.randomisation, body)
     log = np.zeros((len(seeds), steps), state_dtype(len(config.vehicle.rotors)))
     end = np.full(len(seeds), steps)
     if config.hand_held is not None:
         for name, values in move_by_hand(config.hand_held, steps, rate_hz, motion).items():
             log[name] = values
     else:
-        _fly(config, log, rate_hz, parts)
+        _fly(config, drawn, log, rate_hz, parts)
         end = _held(log)
     if config.ground is not None:
         before = start_on_ground(config.ground, log, rate_hz, ground)
         end = np.where(end < steps, np.minimum(end + before, steps), steps)
     flights = {name: log[name] for name in log.dtype.names or () if name != "ang_acc"}
     reasons = ["" if e == steps else f"diverged after {e / rate_hz:.2f} s" for e in end]
-    readings = simulate_readings(config.imu, log, rate_hz, imu)
+    readings = simulate_readings([each.imu for each in drawn], log, rate_hz, imu)
     return {**flights, **readings, "end_step": end, "end_reason": reasons}
 
 
-def _fly(config: Recipe, log: NDArray[np.void], rate_hz: float, parts: Sequence[Seeds]) -> None:
+def _fly(
+    config: Recipe, drawn: Sequence[Domain], log: NDArray[np.void], rate_hz: float, parts: Sequence[Seeds]
+) -> None:
     """Fill the log (n, T) with flights."""
-    motion, body, air, _, angles, _ = parts
+    motion, _, air, _, angles, _ = parts
     n, total = len(log), round(config.warmup_s * rate_hz) + log.shape[1]
-    vehicles = [randomise(config.vehicle, config.randomisation, np.random.default_rng(s)) for s in body]
+    vehicles = [each.vehicle for each in drawn]
     plans = planned(config.trajectory, config.wind, total, rate_hz, motion, air)
+    scale_wind(plans, drawn)
     first = plans[:, 0].copy()
     plans["wind"][:, :-1] = plans["wind"][:, 1:]  # a sample's wind is that of the way to it
     if config.attitude_error.sd_deg:

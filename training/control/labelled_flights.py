@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +19,14 @@ from numpy.typing import NDArray
 from estimators.control.controller import SpikingController, follow, gravity_of
 from quadsim.control.cascade import MAX_TRIM, follow_attitude
 from quadsim.control.records import POSITION
+from quadsim.flight.domain import domains, scale_wind
 from quadsim.flight.loop import FlightLoop
 from quadsim.flight.mission import planned
 from quadsim.flight.recipe import Recipe
 from quadsim.rotation import quat_from_euler, quat_from_rotvec, quat_multiply
 from quadsim.runs.compiled import njit
 from quadsim.seeding import child
-from quadsim.vehicle import GRAVITY, randomise
+from quadsim.vehicle import GRAVITY
 
 from ..config import ControlSettings
 from .excitation import STANDARD, Excitation, rotor_effect, set_point_excitation, torque_excitation
@@ -199,7 +199,9 @@ def fly(
     draws = [np.random.default_rng(child(seed, EXCITATION)) for seed in seeds]
     motion, air = ([child(seed, part) for seed in seeds] for part in (MOTION, AIR))
     plans = planned(flights.trajectory, flights.wind, steps, RATE_HZ, motion, air)
-    draw = partial(randomise, flights.vehicle, flights.randomisation)
+    bodies = [child(seed, BODY) for seed in seeds]
+    drawn = domains(flights.vehicle, flights.imu, flights.randomisation, bodies)
+    scale_wind(plans, drawn)
     size = np.stack([rng.uniform() ** 2 for rng in draws])[:, None]
     added_motion = [set_point_excitation(excitation, steps, RATE_HZ, rng) for rng in draws]
     pilot = Pilot(
@@ -212,10 +214,10 @@ def fly(
         config,
     )
     loop = FlightLoop(
-        [draw(np.random.default_rng(child(seed, BODY))) for seed in seeds],
+        [each.vehicle for each in drawn],
         n,
         rate_hz=RATE_HZ,
-        imu=flights.imu,
+        imu=[each.imu for each in drawn],
         seed=[child(seed, IMU) for seed in seeds],
         nominal=flights.vehicle,
         controller=lambda rate_hz, vehicle: pilot,
