@@ -66,6 +66,7 @@ EXTRAS = {
     "pyulog": "logs",
     "rosbags": "logs",
     "rotorpy": "task",
+    "tensorboard": "tensorboard",
     "torch": "train",
 }
 """Packages that not every installation has, and the extra that brings each."""
