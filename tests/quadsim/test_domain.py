@@ -41,7 +41,7 @@ def numbers(mission):
         "rotor_drag": p["rotor_drag"] / nominal.motor.rotor_drag,
         "frame_drag": p["frame_drag"][:, 0] / p["frame_drag"][:, 0].mean(),
         "motor_lag": p["tau_up"] / nominal.motor.tau_up,
-        "imu": np.array([spec.gyro.noise for spec in mission.imu.specs]) / load_imu("adis16448").gyro.noise,
+        "imu": mission.imu.records["white"][:, 0] / (load_imu("adis16448").gyro.noise * np.sqrt(200.0)),
         "wind": mission.plans["wind"][:, 0, 0] / 3.0,
         "delay": mission.external.sensors["delay"] / 2.0,
     }
@@ -70,6 +70,23 @@ def test_every_error_of_an_imu_has_a_factor_of_its_own():
     ]
     assert len(set(np.round(ratios, 9))) == 2 * len(RANDOM)
     assert np.abs(np.array(ratios) - 1.0).max() < 0.3
+
+
+def test_a_drawn_delay_is_the_age_of_what_the_external_sensor_says(tmp_path):
+    file = tmp_path / "slow.toml"
+    file.write_text("delay_s = 0.05\n")  # ten samples
+    changes = {"external": str(file), "randomisation": {"delay": 1.0}, "start": {"speed": 5.0}}
+    mission = Mission(changed(WINDY, changes), n=10)
+    mission.begin(vehicle_seeds(0, 10))
+    true = []
+    for _ in range(40):
+        mission.step()
+        true.append(mission.plant.position.copy())
+    delays = mission.external.sensors["delay"]
+    assert delays.min() < 5
+    assert delays.max() > 15
+    for flight, delay in enumerate(delays):
+        np.testing.assert_array_equal(mission.measured_state["position"][flight], true[-1 - delay][flight])
 
 
 @pytest.mark.parametrize("engine", ["auto", "mujoco"])
