@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from .config.ranges import Between, Delay, Speed
 from .config.toml import Strict, load_toml
@@ -60,18 +61,24 @@ class ExternalSensor:
         n: Number of vehicles.
         rate_hz: Samples of the loop per second.
         seed: Whole number, seed sequence, or one seed sequence per vehicle.
+        longest: Largest factor that `delay` may be given.
     """
 
-    def __init__(self, spec: ExternalSpec, n: int, rate_hz: float, seed: Seed) -> None:
-        ratio, delay = min((spec.rate_hz or rate_hz) / rate_hz, 1.0), round(spec.delay_s * rate_hz)
+    def __init__(self, spec: ExternalSpec, n: int, rate_hz: float, seed: Seed, longest: float = 1.0) -> None:
+        ratio, self._delay = min((spec.rate_hz or rate_hz) / rate_hz, 1.0), spec.delay_s * rate_hz
         sd = spec.position_noise, spec.velocity_noise, np.radians(spec.yaw_noise_deg)
         self.sensors = np.zeros(n, SENSOR)
-        self.sensors["ratio"], self.sensors["delay"], self.sensors["next_noise"] = ratio, delay, BLOCK
+        self.sensors["ratio"], self.sensors["next_noise"] = ratio, BLOCK
+        self.delay(slice(None), 1.0)
         self.sensors["sd"] = np.repeat(sd, (3, 3, 1))
         self.noise = np.zeros((n, BLOCK, NUMBERS))
-        self.queue = np.zeros((n, int(delay * ratio) + 2, NUMBERS))
+        self.queue = np.zeros((n, int(round(longest * self._delay) * ratio) + 2, NUMBERS))
         self._random = [np.random.default_rng(each) for each in vehicle_seeds(seed, n)]
         self.draw()
+
+    def delay(self, ids: NDArray[np.int64] | slice, factor: ArrayLike) -> None:
+        """Set the delay of some vehicles to its nominal value times a factor, (m,)."""
+        self.sensors["delay"][ids] = np.rint(self._delay * np.asarray(factor))
 
     def draw(self) -> None:
         """Draw noise for the sensors that have spent theirs."""

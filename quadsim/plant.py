@@ -261,6 +261,12 @@ class Plant:
         """Copies of the live arrays."""
         return State(*(getattr(self, name).copy() for name in State._fields))
 
+    def exchange(self, ids: NDArray[np.int64], vehicles: Sequence[Vehicle]) -> None:
+        """Put other vehicles, with as many rotors, in the places `ids` (m,); `reset` then places them."""
+        self.vehicles[ids] = vehicle_records(list(vehicles), self.vehicles["dt"][0])
+        if self.engine is not None:
+            self.engine.write_inertia()
+
     def set_mass(self, mass: ArrayLike) -> None:
         """Change the masses, (n,) [kg], the inertia in proportion: a payload taken up or dropped."""
         new = _rows("mass", mass, (self.n,), 0.0)

@@ -155,7 +155,10 @@ def load_vehicle(source: str | Path) -> Vehicle:
 
 
 class Randomisation(Strict):
-    """Relative half-width of each number's range, drawn per flight: the factor is 1 + U(−r, r)."""
+    """Relative half-width of each number's range, drawn per flight: the factor is 1 + U(−r, r).
+
+    `randomise` draws the vehicle; `quadsim.flight.domain` the rest of a flight as well.
+    """
 
     mass: float = Field(default=0.0, ge=0, lt=0.5, description="Spread of the mass (the inertia follows).")
     inertia: float = Field(default=0.0, ge=0, lt=0.5, description="Spread of the inertia beyond that.")
@@ -164,6 +167,9 @@ class Randomisation(Strict):
     rotor_drag: float = Field(default=0.0, ge=0, lt=1, description="Spread of the rotor-drag constant.")
     frame_drag: float = Field(default=0.0, ge=0, lt=1, description="Spread of C_d A.")
     motor_lag: float = Field(default=0.0, ge=0, lt=0.9, description="Spread of both motor time constants.")
+    imu: float = Field(default=0.0, ge=0, lt=1, description="Spread of each error of the IMU.")
+    wind: float = Field(default=0.0, ge=0, le=1, description="Spread of the wind's speed.")
+    delay: float = Field(default=0.0, ge=0, le=1, description="Spread of the external sensor's delay.")
 
 
 def randomise(vehicle: Vehicle, ranges: Randomisation, rng: np.random.Generator) -> Vehicle:

@@ -4,10 +4,10 @@ import csv
 import importlib.util
 from pathlib import Path
 
-import gymnasium
-import numpy as np
 import pytest
 from PIL import Image
+
+from quadsim.env.policy import load_policy
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def test_ppo_trains_is_judged_and_drawn(ppo, capsys, monkeypatch, tmp_path):
     monkeypatch.setattr(ppo, "EPISODES", 2)
     monkeypatch.setattr(ppo, "VEHICLES", 4)
     monkeypatch.setattr(ppo, "DECISIONS", 64)
-    ppo.main(["--steps", "512", "--out", str(tmp_path)])
+    ppo.main(["--steps", "512", "--recipe", "control", "--out", str(tmp_path)])
     with (tmp_path / "ppo.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [row["who"] for row in rows] == [*ppo.BASELINES, "PPO, seed 0", "PPO, seed 0"]
@@ -33,25 +33,6 @@ def test_ppo_trains_is_judged_and_drawn(ppo, capsys, monkeypatch, tmp_path):
     assert len(capsys.readouterr().out.splitlines()) == 1 + len(rows) + 1
     with Image.open(tmp_path / "ppo.png") as image:
         assert image.size == (880, 440)
-
-
-def test_a_batch_flies_as_single_environments_do(ppo):
-    """Actions hold for ten samples. The step that ends an episode returns the next's first observation."""
-    batch = ppo.Batch(3)
-    batch.seed(5)
-    seen = batch.reset()
-    single = gymnasium.make(
-        "quadsim/Quadrotor-v0", estimator="mahony", scenario=batch.env.unwrapped._scenario
-    )
-    first, _ = single.reset(seed=6)
-    np.testing.assert_array_equal(seen[1], first)
-    action = np.random.default_rng(0).uniform(-0.01, 0.01, (3, 4))
-    done = np.zeros(3, bool)
-    while not done.any():
-        seen, earned, done, infos = batch.step(action)
-        taken = [single.step(action[1])[:4] for _ in range(ppo.REPEAT)]
-        np.testing.assert_allclose(earned[1], np.mean([reward for _, reward, *_ in taken]))
-    assert done.all()
-    np.testing.assert_array_equal(infos[1]["terminal_observation"], taken[-1][0])
-    assert infos[1]["TimeLimit.truncated"]
-    np.testing.assert_array_equal(seen[1], single.reset()[0])
+    policy = load_policy(tmp_path / "seed-0.safetensors")
+    assert policy.spec.training == {"example": "ppo.py", "seed": 0, "steps": 512, "recipe": "control"}
+    assert ppo.judge(ppo.scenario_of("control"), policy)[0] == pytest.approx(float(rows[-1]["return"]))

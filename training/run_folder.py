@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -87,6 +90,29 @@ def claim(out: Path, config: TrainConfig | CircuitRun, flights: dict[str, str]) 
             changed = ", ".join(name for name in contents if old.get(name) != contents[name])
             raise ValueError(f"{out}: holds a run on other files ({changed} changed), choose another folder")
     write_whole(file, json.dumps(contents, indent=2))
+
+
+@contextmanager
+def tensorboard_events(out: Path) -> Iterator[Callable[[Epoch], None]]:
+    """What writes an epoch's row of the log into a run's folder as events of TensorBoard.
+
+    A run that continues adds a file of events. Nothing is written before the first epoch.
+
+    Raises:
+        ModuleNotFoundError: TensorBoard is not installed.
+    """
+    from torch.utils.tensorboard import SummaryWriter
+
+    with ExitStack() as stack:
+        writer = cache(lambda: stack.enter_context(SummaryWriter(str(out))))
+
+        def write(epoch: Epoch) -> None:
+            for name, value in epoch.row().items():
+                if name != "epoch":
+                    writer().add_scalar(name, value, epoch.epoch + 1)
+            writer().flush()
+
+        yield write
 
 
 def plot(out: Path, history: list[Epoch]) -> None:

@@ -68,6 +68,7 @@ EXTRAS = {
     "rerun": "watch",
     "rosbags": "logs",
     "rotorpy": "task",
+    "tensorboard": "tensorboard",
     "torch": "train",
 }
 """Packages that not every installation has, and the extra that brings each."""

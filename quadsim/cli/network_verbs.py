@@ -1,6 +1,7 @@
 """Commands that make weights and parameters: `train`, `tune`."""
 
 import math
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -48,6 +49,9 @@ def train(
     epochs: Annotated[
         int | None, typer.Option(min=1, help="Maximum number of epochs; default: the preset's.")
     ] = None,
+    tensorboard: Annotated[
+        bool, typer.Option("--tensorboard", help="Write each epoch for TensorBoard as well, into the folder.")
+    ] = False,
     set_: Annotated[
         list[str] | None,
         typer.Option(
@@ -65,8 +69,8 @@ def train(
     of layers: paper by the paper's recipe. control-attitude trains an attitude controller by imitation, on
     flights of its own.
 
-    The run folder gets the weights, the losses and their plot. Ctrl-C keeps what there is, and the same
-    command continues the run.
+    The run folder gets the weights, the losses (log.csv) and their plot. Ctrl-C keeps what there is, and the
+    same command continues the run.
 
     Example: quadsim train --out runs/snn
 
@@ -80,11 +84,15 @@ def train(
         choices["validation"] = tuple(map(str, validation))
     from training.config import make_config
     from training.epochs import INTERRUPTED, run
+    from training.run_folder import tensorboard_events
 
     config = make_config(preset, model=model, data=tuple(map(str, data or [])), seed=seed, **choices)
-    with progress_bar(f"train {preset}", "epochs") as bar:
+    events = tensorboard_events(out) if tensorboard else nullcontext()
+    with events as write, progress_bar(f"train {preset}", "epochs") as bar:
 
         def progress(epoch: "Epoch", config: "Config") -> None:
+            if write:
+                write(epoch)
             bar(epoch.epoch + 1, config.epochs)
             say(f"epoch {epoch.epoch + 1}: {epoch}")
 

@@ -1,5 +1,6 @@
 """The environment of n quadrotors that are stepped as one batch."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -18,7 +19,7 @@ from ..control.records import ATTITUDE, LEVELS, Level
 from ..flight.mission import Mission
 from ..flight.scenario import Scenario, changed
 from ..pictures.render import Image, Scene, View
-from .made import Made, controller_for, made_for, scenario_for
+from .made import Made, Spread, controller_for, made_for, scenario_for
 from .spaces import (
     INFORMATION,
     OBSERVATION_SPACE,
@@ -31,7 +32,7 @@ from .spaces import (
 Array = NDArray[np.float64]
 MOST = 100_000
 """Environments in a batch."""
-OPTIONS = ("scenario", "wind")
+OPTIONS = ("scenario", "wind", "randomisation")
 """Of `reset`."""
 
 
@@ -53,17 +54,18 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         duration_s: float | None = None,
         render_mode: str | None = None,
         controller: str | Path | MakeController | None = None,
+        randomisation: Spread | None = None,
     ) -> None:
         if level not in LEVELS:
             raise ValueError(f'unknown level "{level}"; valid: {", ".join(LEVELS)}')
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f'unknown render_mode "{render_mode}"; valid: rgb_array, or None')
         SAMPLE_RATE.of("rate_hz", rate_hz)
-        if not isinstance(num_envs, int) or not 1 <= num_envs <= MOST:
+        if not isinstance(num_envs, int) or isinstance(num_envs, bool) or not 1 <= num_envs <= MOST:
             raise ValueError(f"num_envs = {num_envs!r}: a whole number from 1 to {MOST} is allowed")
         self.metadata = {**self.metadata, "render_fps": rate_hz}
         self.num_envs, self.render_mode = num_envs, render_mode
-        self._scenario = self._flown = scenario_for(scenario)
+        self._scenario = self._flown = scenario_for(scenario, randomisation)
         self._made, self._controller = estimator, controller_for(controller)
         if self._controller is not None and LEVELS.index(level) > ATTITUDE:
             raise ValueError(f'level "{level}" is below the attitude controller: leave controller out')
@@ -109,10 +111,12 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         Raises:
             ValueError: An unknown option, or a value that it cannot have.
         """
+        if not isinstance(options, Mapping | None):
+            raise ValueError(f"options = {options!r}: a dictionary is allowed, or None")
         given = dict(options or {})
         for key in given.keys() - OPTIONS:
             raise ValueError(f'reset has no option "{key}"; {nearest(str(key), OPTIONS)}')
-        scenario = scenario_for(given.get("scenario", self._scenario))
+        scenario = scenario_for(given.get("scenario", self._scenario), given.get("randomisation"))
         if "wind" in given:
             wind = np.asarray(given["wind"], dtype=np.float64)
             if wind.shape != (3,):
@@ -206,9 +210,11 @@ def take(action: ArrayLike, out: Array) -> None:
     """Copy an action.
 
     Raises:
-        ValueError: It has another shape, or is not numbers.
+        ValueError: It has another shape, or is not real numbers.
     """
     given = np.asarray(action)
+    if given.dtype.kind not in "fiub":
+        raise ValueError(f"an action has the type {given.dtype}; it must be real numbers")
     if given.shape != out.shape:
         raise ValueError(f"an action has shape {given.shape}; it must be {out.shape}")
     out[:] = given

@@ -1,32 +1,35 @@
 """What an environment is made of, given by name, file or object: scenario, estimator and controller."""
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from types import FunctionType, MethodType
-from typing import TypeAlias, cast
+from typing import Any, TypeAlias, cast
 
 from ..control.attitude_controller import MakeController
 from ..estimator import AttitudeEstimator
-from ..flight.scenario import Scenario, load_scenario
+from ..flight.scenario import Scenario, changed, load_scenario
 from ..own import named_errors
+from ..vehicle import Randomisation
 
 Made: TypeAlias = AttitudeEstimator | str | Path | Callable[[float], AttitudeEstimator] | None
 """An estimator, or what makes one: see `made_for`."""
+Spread: TypeAlias = Randomisation | Mapping[str, Any]
+"""The `[randomisation]` of a recipe or a scenario, or a table of it."""
 
 
-def scenario_for(scenario: object) -> Scenario:
-    """An environment's scenario, given as a name, a file or a `Scenario`.
+def scenario_for(scenario: object, randomisation: Spread | None = None) -> Scenario:
+    """An environment's scenario, given as a name, a file or a `Scenario`, randomised as given.
 
     Raises:
-        ValueError: It is none of these, or there is no such file.
+        ValueError: It is none of these, there is no such file, or a number is out of its range.
     """
-    if isinstance(scenario, Scenario):
-        return scenario
-    if not isinstance(scenario, str | Path):
+    if isinstance(scenario, str | Path):
+        scenario = load_scenario(scenario)
+    if not isinstance(scenario, Scenario):
         raise ValueError(f"scenario = {scenario!r}: should be a name, a file or a Scenario")
-    return load_scenario(scenario)
+    return scenario if randomisation is None else changed(scenario, {"randomisation": randomisation})
 
 
 def made_for(estimator: Made, scenario: Scenario, rate_hz: float) -> AttitudeEstimator | None:

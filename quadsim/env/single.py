@@ -1,7 +1,7 @@
 """The environment of one quadrotor."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import gymnasium
 import numpy as np
@@ -13,7 +13,7 @@ from ..flight.scenario import Scenario
 from ..flight.world import CAUSES
 from ..pictures.render import Image
 from .batch import QuadrotorVectorEnv, take
-from .made import Made
+from .made import Made, Spread
 from .spaces import INFORMATION
 
 
@@ -96,8 +96,17 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
 
     ## Options of `reset`
 
-    `reset(options={"scenario": ..., "wind": (x, y, z)})` flies another scenario, by name, file or `Scenario`,
-    or with a constant wind [m/s] in place of the scenario's, until the next `reset`.
+    `reset(options={"scenario": ..., "wind": (x, y, z), "randomisation": {...}})` flies another scenario, by
+    name, file or `Scenario`, with a constant wind [m/s] or a randomisation in place of the scenario's, until
+    the next `reset`.
+
+    ## Domain randomisation
+
+    The table `randomisation` is that of recipes and scenarios: `{"mass": 0.2, "delay": 1.0}` draws a mass
+    within ±20 % and a delay of 0 to 2 times the nominal one for each episode and vehicle. Its keys are
+    `mass`, `inertia`, `thrust`, `torque`, `rotor_drag`, `frame_drag`, `motor_lag`, `imu` (a factor for each
+    error of it), `wind` and `delay` (of the external sensor). The controller and the estimator know the
+    nominal vehicle.
 
     ## Arguments
 
@@ -110,6 +119,7 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
     | `duration_s`  | None       | length of an episode, instead of the scenario's                        |
     | `render_mode` | None       | "rgb_array" for pictures                                               |
     | `controller`  | None       | your own attitude controller, or weights                               |
+    | `randomisation` | None     | spread of the vehicle, the IMU, the wind and the delay, see above      |
 
     `metadata["render_fps"]` is `rate_hz`, so that gymnasium's RecordVideo, which draws every step, plays in
     real time (it needs moviepy: `pip install 'quadsim[video]'`).
@@ -138,9 +148,10 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
         duration_s: float | None = None,
         render_mode: str | None = None,
         controller: str | Path | MakeController | None = None,
+        randomisation: Spread | None = None,
     ) -> None:
         self._batch = QuadrotorVectorEnv(
-            1, estimator, scenario, level, rate_hz, duration_s, render_mode, controller
+            1, estimator, scenario, level, rate_hz, duration_s, render_mode, controller, randomisation
         )
         self.metadata = {**self.metadata, "render_fps": rate_hz}
         self.render_mode, self._action = render_mode, self._batch.actions[0]
@@ -184,3 +195,7 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
     def close(self) -> None:
         """Free what rendering took."""
         self._batch.close_extras()
+
+    def __reduce__(self) -> NoReturn:
+        """Refuse to be copied or pickled, as the batch does."""
+        return self._batch.__reduce__()

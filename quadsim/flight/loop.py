@@ -15,8 +15,7 @@ from ..control.cascade import Controller
 from ..control.records import LEVELS, POSITION, Command, Level
 from ..estimator import AttitudeEstimator, Readings, accepted_sensors, receives_truth, roll_pitch_of
 from ..external import ExternalSensor, ExternalSpec
-from ..imu.spec import ImuSpec
-from ..imu.stream import ImuStream
+from ..imu.stream import Imus, ImuStream
 from ..motion.rotors import state_dtype
 from ..plant import Plant
 from ..rotation import quat_from_rotvec, quat_multiply, roll_pitch_from_quat
@@ -40,7 +39,7 @@ class FlightLoop:
         vehicle: One vehicle, or n of them. The controller is tuned for the first.
         n: Number of vehicles.
         rate_hz: Samples per second.
-        imu: The IMU; None for a perfect one.
+        imu: The IMU, or one for each vehicle; None for a perfect one.
         estimator: Source of roll and pitch; None for the truth.
         seed: Seed of the IMU, an integer or one SeedSequence per vehicle.
         contact: Whether the ground can be touched; the engine then makes 1 ms steps, implicitly.
@@ -61,7 +60,7 @@ class FlightLoop:
         n: int = 1,
         *,
         rate_hz: float = 200.0,
-        imu: ImuSpec | None = None,
+        imu: Imus | None = None,
         estimator: AttitudeEstimator | None = None,
         seed: int | Sequence[np.random.SeedSequence] = 0,
         contact: bool = False,

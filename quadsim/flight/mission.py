@@ -21,8 +21,9 @@ from ..rotation import quat_from_euler, quat_from_rotvec, quat_multiply
 from ..seeding import children
 from ..trajectory.reference import reference
 from ..trajectory.specs import Trajectory
-from ..vehicle import load_vehicle, with_drag
+from ..vehicle import Randomisation, load_vehicle, with_drag
 from ..wind import WindSpec, wind_series
+from .domain import Domain, domains, scale_wind
 from .faults import displaced, sensor_faults
 from .loop import FlightLoop
 from .scenario import Scenario
@@ -32,7 +33,7 @@ from .world import FLYING, PLAN
 Array = NDArray[np.float64]
 Seeds = Sequence[np.random.SeedSequence]
 
-TRAJECTORY, AIR, SENSOR, BEGINNING, FAULT, EXTERNAL = range(6)
+TRAJECTORY, AIR, SENSOR, BEGINNING, FAULT, EXTERNAL, DOMAIN = range(7)
 """Children of a flight's seed, one for each component that draws from it."""
 
 
@@ -74,21 +75,30 @@ class Mission(FlightLoop):
         if len(seeds) != self.n:
             raise ValueError(f"{len(seeds)} seeds for {self.n} flights; there must be one for each")
         faults, crash, external = self.scenario.faults, self.scenario.crash, None
+        drawn = self._drawn(seeds)
         if self._outside != ExternalSpec():
-            external = ExternalSensor(self._outside, self.n, self.rate_hz, children(seeds, EXTERNAL))
+            external = ExternalSensor(
+                self._outside,
+                self.n,
+                self.rate_hz,
+                children(seeds, EXTERNAL),
+                1.0 + self.scenario.randomisation.delay,
+            )
+            external.delay(slice(None), [each.delay for each in drawn])
         super().__init__(
-            self.vehicle,
+            [each.vehicle for each in drawn],
             self.n,
             rate_hz=self.rate_hz,
-            imu=self._spec,
+            imu=[each.imu for each in drawn],
             estimator=self.estimator,
             seed=children(seeds, SENSOR),
             contact=self.scenario.contact,
+            nominal=self.vehicle,
             engine=self.scenario.engine,
             external=external,
             controller=self._make,
             corrupt=sensor_faults(faults, self.n, self.rate_hz, children(seeds, FAULT)),
-            plans=self._plan(seeds),
+            plans=self._plan(seeds, drawn),
         )
         self._faults, self._flights = VehicleFaults(faults, self.plant), self.records["flight"]
         self._flights["min_cos_tilt"] = math.cos(math.radians(crash.tilt_deg))
@@ -102,9 +112,14 @@ class Mission(FlightLoop):
 
         Sensor noise and faults continue with what the seed of the vehicle's first flight holds for its next.
         """
-        self.plans[ids] = plans = self._plan(seeds)
+        drawn = self._drawn(seeds)
+        self.plans[ids] = plans = self._plan(seeds, drawn)
         self._flights["cause"][ids] = self._flights["crashed"][ids] = FLYING
-        self._faults.restart(ids)
+        if self.imu is not None and self.scenario.randomisation != Randomisation():
+            self.plant.exchange(ids, [each.vehicle for each in drawn])
+            self.imu.exchange(ids, [each.imu for each in drawn])
+            self.external.delay(ids, [each.delay for each in drawn])
+        self._faults.restart(ids, [each.vehicle.mass for each in drawn])
         self.reset(**self._start(seeds, plans["target"][:, 0]), ids=ids)
 
     def _accept(self, level: Level, command: Command | None, wind: Array | None) -> int:
@@ -114,10 +129,17 @@ class Mission(FlightLoop):
             self._faults.apply(self.k)
         return super()._accept(level, command, wind)
 
-    def _plan(self, seeds: Seeds) -> NDArray[np.void]:
+    def _drawn(self, seeds: Seeds) -> list[Domain]:
+        spread = self.scenario.randomisation
+        return domains(self.vehicle, self._spec, spread, children(seeds, DOMAIN))
+
+    def _plan(self, seeds: Seeds, drawn: Sequence[Domain]) -> NDArray[np.void]:
         """Set-points and winds of whole flights, (n, steps + 1) records of `PLAN`."""
         path, air = children(seeds, TRAJECTORY), children(seeds, AIR)
-        return planned(self.scenario.trajectory, self.scenario.wind, self.steps + 1, self.rate_hz, path, air)
+        scenario, steps = self.scenario, self.steps + 1
+        plans = planned(scenario.trajectory, scenario.wind, steps, self.rate_hz, path, air)
+        scale_wind(plans, drawn)
+        return plans
 
     def _start(self, seeds: Seeds, first: NDArray[np.void]) -> dict[str, Any]:
         """Arguments of `FlightLoop.reset`, from the first set-points (n,)."""

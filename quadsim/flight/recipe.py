@@ -7,7 +7,7 @@ from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, model_validator
 
 from ..config.ranges import Between, Engine
 from ..config.toml import Model, Strict, load_toml, merged, parse
@@ -73,7 +73,7 @@ class Recipe(Strict):
     wind: tuple[WindSpec, ...] = ()
     """Winds, added up."""
     randomisation: Randomisation = Randomisation()
-    """Spread of the vehicle's numbers."""
+    """Spread of the numbers of vehicle, IMU and wind, drawn for each flight."""
     attitude_error: AttitudeError = AttitudeError()
     """Error of the roll and pitch that the controller gets."""
     hand_held: HandHeld | None = None
@@ -84,6 +84,12 @@ class Recipe(Strict):
     """What integrates the motion: "mujoco", or "auto", its scheme for free flight, compiled."""
     warmup_s: Annotated[float, Between(0.0, 60.0, "s")] = 4.0
     """Simulated before recording, so that flights begin in motion [s]."""
+
+    @model_validator(mode="after")
+    def _has_no_delay(self) -> "Recipe":
+        if self.randomisation.delay:
+            raise ValueError("randomisation.delay: a dataset has no external sensor, leave it out")
+        return self
 
 
 class Variant(Strict):

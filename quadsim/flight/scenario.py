@@ -12,6 +12,7 @@ from pydantic import ValidationError
 from ..config.ranges import Between, Coordinate, Distance, Engine, Position, RateDeg, Speed
 from ..config.toml import Model, Strict, describe, load_toml, preset_names
 from ..trajectory.specs import Hover, Trajectory
+from ..vehicle import Randomisation
 from ..wind import WindSpec
 from .faults import Fault
 
@@ -69,6 +70,8 @@ class Scenario(Strict):
     """The set-points."""
     wind: tuple[WindSpec, ...] = ()
     """Winds, added up."""
+    randomisation: Randomisation = Randomisation()
+    """Spread of the numbers of vehicle, IMU, wind and delay, drawn for each flight."""
     start: Start = Start()
     """How a flight begins."""
     faults: tuple[Fault, ...] = ()

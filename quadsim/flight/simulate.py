@@ -9,7 +9,7 @@ from ..control.attitude_controller import MakeController
 from ..imu.stream import simulate_readings
 from ..motion.rotors import state_dtype
 from ..seeding import children
-from ..vehicle import randomise
+from .domain import Domain, domains, scale_wind
 from .ground import start_on_ground
 from .hand_held import move_by_hand
 from .loop import FlightLoop
@@ -59,8 +59,13 @@ def simulate_flights(
         end = np.where(end < steps, np.minimum(end + before, steps), steps)
     flights = {name: log[name] for name in log.dtype.names or () if name != "ang_acc"}
     reasons = ["" if e == steps else f"diverged after {e / rate_hz:.2f} s" for e in end]
-    readings = simulate_readings(config.imu, log, rate_hz, children(seeds, SENSOR))
+    imus = [each.imu for each in _domains(config, seeds)]
+    readings = simulate_readings(imus, log, rate_hz, children(seeds, SENSOR))
     return {**flights, **readings, "end_step": end, "end_reason": reasons}
+
+
+def _domains(config: Recipe, seeds: Seeds) -> list[Domain]:
+    return domains(config.vehicle, config.imu, config.randomisation, children(seeds, BODY))
 
 
 def recipe_loop(
@@ -81,17 +86,19 @@ def recipe_loop(
         log: Where the states are written, see `FlightLoop`.
         controller: Flies on the readings of the IMU; None for the cascade, which has the true body rate.
     """
-    path, body, air, angles = (children(seeds, part) for part in (MOTION, BODY, AIR, ANGLES))
+    path, air, angles = (children(seeds, part) for part in (MOTION, AIR, ANGLES))
+    drawn = _domains(config, seeds)
     plans = planned(config.trajectory, config.wind, steps, rate_hz, path, air)
+    scale_wind(plans, drawn)
     first = plans[:, 0].copy()
     plans["wind"][:, :-1] = plans["wind"][:, 1:]  # a sample's wind is that of the way to it
     if config.attitude_error.sd_deg:
         plans["attitude_error"] = config.attitude_error.series(steps, rate_hz, angles)
     loop = FlightLoop(
-        [randomise(config.vehicle, config.randomisation, np.random.default_rng(seed)) for seed in body],
+        [each.vehicle for each in drawn],
         len(seeds),
         rate_hz=rate_hz,
-        imu=None if controller is None else config.imu,
+        imu=None if controller is None else [each.imu for each in drawn],
         seed=children(seeds, SENSOR),
         nominal=config.vehicle,
         engine=config.engine,

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ..config.ranges import Arm, Between, Duration, Instant, Mass, Share
 from ..config.toml import Strict
@@ -88,13 +88,13 @@ class VehicleFaults:
         self._rotors = [fault for fault in faults if isinstance(fault, RotorLoss | LowBattery | GroundEffect)]
         self.any = bool(self._payloads or self._rotors)
         self._empty = plant.vehicles["mass"].copy()
-        self._mass = self._empty
+        self._mass = self._empty.copy()
 
-    def restart(self, ids: NDArray[np.int64]) -> None:
-        """Give some vehicles the mass and the rotors that they have before `apply`."""
+    def restart(self, ids: NDArray[np.int64], mass: ArrayLike) -> None:
+        """Give some vehicles their mass, (m,) [kg], and the rotors that they have before `apply`."""
+        self._empty[ids] = mass
         if self._payloads:
-            self._mass = self._mass.copy()
-            self._mass[ids] = self._empty[ids]
+            self._mass[ids] = mass
             self._plant.set_mass(self._mass)
         self._plant.rotor_effect[ids] = 1.0
 

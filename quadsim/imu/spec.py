@@ -4,6 +4,7 @@ import math
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
+import numpy as np
 from pydantic import model_validator
 
 from ..config.ranges import Arm, Between, ForceVector, Rotation, RotorSpeed
@@ -99,6 +100,30 @@ class ImuSpec(Strict):
     def sensors(self) -> dict[str, Sensor]:
         """Its sensors, by the names of their readings."""
         return {"gyro": self.gyro, "accel": self.accel}
+
+
+RANDOM = "noise", "random_walk", "turn_on", "scale_factor", "misalignment", "low_pass_hz"
+"""Numbers of a sensor that `randomise_imu` draws."""
+
+
+def randomise_imu(imu: ImuSpec, spread: float, rng: np.random.Generator) -> ImuSpec:
+    """The IMU with each of its errors times a factor of its own, 1 + U(−spread, spread).
+
+    These are the numbers of `RANDOM` of each sensor, the sensitivity to specific force, and the vibration.
+    """
+
+    def factor() -> float:
+        return 1.0 + spread * rng.uniform(-1.0, 1.0)
+
+    parts: dict[str, object] = {
+        name: sensor.model_copy(update={each: getattr(sensor, each) * factor() for each in RANDOM})
+        for name, sensor in imu.sensors.items()
+    }
+    parts["g_sensitivity"], size = imu.g_sensitivity * factor(), factor()
+    if imu.vibration is not None:
+        waves = {name: tuple(size * each for each in getattr(imu.vibration, name)) for name in READINGS}
+        parts["vibration"] = imu.vibration.model_copy(update=waves)
+    return imu.model_copy(update=parts)
 
 
 def load_imu(source: str | Path) -> ImuSpec:

@@ -96,6 +96,12 @@ class ImuStream:
             self._flight[vehicle] += 1
             self._switch_on(int(vehicle))
 
+    def exchange(self, ids: NDArray[np.int64], specs: Sequence[ImuSpec]) -> None:
+        """Give some vehicles other IMUs, (m,); `reset` then switches them on."""
+        for vehicle, spec in zip(ids, specs, strict=True):
+            self.specs[vehicle], self._noises[vehicle] = spec, noise_streams(spec)
+            self.records[vehicle : vehicle + 1] = constants(spec, 1.0 / self.rate_hz)
+
     def sample(
         self,
         ang_vel: ArrayLike,

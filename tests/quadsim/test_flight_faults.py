@@ -57,7 +57,7 @@ def test_near_the_ground_the_rotors_push_harder():
     mission._faults.apply(mission.k)
     effect = mission.plant.rotor_effect[:, 0]
     np.testing.assert_allclose(effect, 1 / (1 - (1 / (4 * np.array([0.5, 0.5, 1.0, 100.0]))) ** 2))
-    mission._faults.restart(np.array([1]))
+    mission._faults.restart(np.array([1]), mission.vehicle.mass)
     assert mission.plant.rotor_effect[1, 0] == 1.0
 
 

@@ -23,6 +23,7 @@ from training.config import make_config
 from training.data import AttitudeTask, network_inputs, windows
 from training.epochs import train
 from training.optim import finished, total_cost
+from training.run_folder import tensorboard_events
 
 TINY = {
     "optimisation": "layered", "rate_cost": 0.03, "epochs": 3, "batches": 4, "batch_size": 4, "window_s": 0.5,
@@ -294,3 +295,29 @@ def test_a_run_without_git_names_no_commit(monkeypatch):
     assert commit()
     monkeypatch.setenv("PATH", "")
     assert commit() == ""
+
+
+def test_events_for_tensorboard_are_the_rows_of_the_log(dataset, tmp_path):
+    """Also of a run that was killed after its second epoch and continued."""
+    accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+
+    def log_until(last, write):
+        def progress(epoch, _):
+            write(epoch)
+            if epoch.epoch == last:
+                raise RuntimeError("killed")
+
+        train(data=dataset, out=tmp_path, progress=progress, **TINY)
+
+    with pytest.raises(RuntimeError, match="killed"), tensorboard_events(tmp_path) as write:
+        log_until(1, write)
+    with tensorboard_events(tmp_path) as write:
+        log_until(None, write)
+    events = accumulator.EventAccumulator(str(tmp_path)).Reload()
+    with (tmp_path / "log.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert set(events.Tags()["scalars"]) == rows[0].keys() - {"epoch"}
+    for name in rows[0].keys() - {"epoch"}:
+        found = [(event.step, event.value) for event in events.Scalars(name)]
+        assert [step for step, _ in found] == [1, 2, 3]
+        assert [value for _, value in found] == pytest.approx([float(row[name]) for row in rows])

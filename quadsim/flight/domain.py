@@ -1,0 +1,43 @@
+"""Domain randomisation: the vehicle, the IMU, the wind's strength and the delay of one flight."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..imu.spec import ImuSpec, randomise_imu
+from ..vehicle import Randomisation, Vehicle, randomise
+
+
+class Domain(NamedTuple):
+    """What is drawn for one flight."""
+
+    vehicle: Vehicle
+    imu: ImuSpec
+    wind: float = 1.0
+    """Factor of the wind's velocity."""
+    delay: float = 1.0
+    """Factor of the external sensor's delay."""
+
+
+def domains(
+    vehicle: Vehicle, imu: ImuSpec, spread: Randomisation, seeds: Sequence[np.random.SeedSequence]
+) -> list[Domain]:
+    """The domain of a flight for each seed, around a vehicle and an IMU; with no spread, these themselves."""
+    if spread == Randomisation():
+        return [Domain(vehicle, imu)] * len(seeds)
+    return [_domain(vehicle, imu, spread, np.random.default_rng(seed)) for seed in seeds]
+
+
+def _domain(vehicle: Vehicle, imu: ImuSpec, spread: Randomisation, rng: np.random.Generator) -> Domain:
+    drawn = randomise(vehicle, spread, rng)
+    wind, delay = 1.0 + np.array([spread.wind, spread.delay]) * rng.uniform(-1.0, 1.0, 2)
+    return Domain(drawn, randomise_imu(imu, spread.imu, rng) if spread.imu else imu, wind, delay)
+
+
+def scale_wind(plans: NDArray[np.void], drawn: Sequence[Domain]) -> None:
+    """Scale the winds of flights, (n, T) records of `quadsim.flight.world.PLAN`, in place."""
+    factors = np.array([each.wind for each in drawn])
+    if (factors != 1.0).any():
+        plans["wind"] *= factors[:, None, None]
