@@ -303,9 +303,6 @@ def test_a_dataset_that_is_not_one_is_named(flights):
         evaluate(flights.drop_vars("accel"), ["mahony"])
 
 
-# --- real recordings --------------------------------------------------------------------------------
-
-
 def test_filters_on_real_recordings_with_optical_truth(broad):
     """BROAD trials, hand-moved: package defaults; scored where the benchmark marks movement."""
     given = {"madgwick": {"beta": 0.033}, "ekf": {"gyro_noise": 0.003, "accel_noise": 0.01}}

@@ -48,9 +48,6 @@ def settled(name):
     }[name]
 
 
-# --- against independent software -------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("reference", "est"),
     [
@@ -119,9 +116,6 @@ def test_inline_functions_of_angles_equal_the_library_s():
         np.testing.assert_allclose(exp_core(*rotation), quat_from_rotvec(rotation), rtol=0.0, atol=3e-16)
         y, z = np.sin(x), np.cos(x)
         np.testing.assert_allclose(atan2_core(y, z), np.arctan2(y, z), rtol=4e-16)
-
-
-# --- every filter -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", [*COMPILED, "vqf"])
@@ -204,9 +198,6 @@ def test_tilt_is_about_the_same_at_any_sample_rate(make_flights, name):
         out = run(make(name, rate), gyro[:, 1:], accel[:, 1:], truth[:, 0])
         steps[rate] = out[0, :: int(rate // 100)][:390]
     assert np.degrees(np.abs(steps[100.0] - steps[400.0])).max() < 1.0
-
-
-# --- mistakes ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

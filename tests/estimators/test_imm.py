@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from imm_flights import RATE, VARIED, generated, imm, rmse
+from imm_flights import RATE, VARIED, imm, rmse
 from scipy.stats import multivariate_t
+from small_dataset import generated
 
 from estimators import create, run
 from estimators.evaluation.beliefs import beliefs
@@ -62,9 +63,6 @@ def believed(est, gyro, accel):
     return found
 
 
-# --- equations --------------------------------------------------------------------------------------
-
-
 def test_the_density_is_student_s_t_of_scipy():
     rng = np.random.default_rng(0)
     root = rng.normal(0, 1, (2, 2))
@@ -92,9 +90,6 @@ def test_a_force_is_integrated_in_the_axes_at_the_end_of_a_turn():
     gather(records, imm()._params, sample, count)
     expected = np.array([np.sin(turn), np.cos(turn) - 1.0, 0.0]) / rate[2]
     np.testing.assert_allclose(records["push"][0], expected, atol=0.01 * count * dt)
-
-
-# --- which model ------------------------------------------------------------------------------------
 
 
 def test_in_flight_it_believes_in_a_multirotor_and_beats_estimators_that_do_not(flight):
@@ -140,9 +135,6 @@ def test_it_changes_its_model_within_seconds(flight):
     assert flying[200:250].max() < 0.5
     assert flying[100:150].min() > 0.9
     assert flying[-50:].min() > 0.9
-
-
-# --- a wrong start, steps and blows -------------------------------------------------------------------
 
 
 def test_a_start_that_is_given_wrong_is_not_taken_for_a_bias(flight):
@@ -214,9 +206,6 @@ def test_a_hand_that_shakes_harder_than_80_m_s2_is_measured():
     assert rmse(imm(), gyro, accel, roll_pitch_from_quat(quat)) < 1.5
 
 
-# --- unknown bias, lever arm and mounting -----------------------------------------------------------
-
-
 def test_a_raw_bias_of_several_degrees_a_second_is_found(flight):
     gyro, accel, truth = flight
     assert rmse(imm(), gyro + BIAS, accel, truth) < rmse(imm(), gyro, accel, truth) + 0.5
@@ -245,9 +234,6 @@ def test_a_thrust_that_is_not_along_body_z_is_no_tilt(flight):
     true = quat_multiply(quat_from_euler(truth[..., 0], truth[..., 1], 0.0), quat_conjugate(mount))
     error = inclination_error(out, roll_pitch_from_quat(true))[:, 2000:]
     assert np.sqrt(np.mean(error**2)) < 2.0
-
-
-# --- how sure ---------------------------------------------------------------------------------------
 
 
 def test_the_truth_is_within_the_95_percent_interval_as_often_as_it_should(flight):
