@@ -33,7 +33,6 @@ SHIPPED = "att-snn"
 
 
 def turning(steps, seconds_before_turn=0.0, axis=(1.0, 2.0, 0.5), speed=2.0):
-    """Readings of a body at rest, or turning in place, and its attitude."""
     t = np.arange(1, steps + 1) / RATE_HZ
     rate = speed * np.array(axis) / np.linalg.norm(axis)
     rate = np.rint(rate * 2**17 / RATE_HZ) * RATE_HZ / 2**17  # what an integer input can say
@@ -44,7 +43,6 @@ def turning(steps, seconds_before_turn=0.0, axis=(1.0, 2.0, 0.5), speed=2.0):
 
 
 def free(p):
-    """The circuit without pulls: vectors turn and nothing else."""
     zero = {name: 0 * getattr(p, name) for name in ("mix", "pull", "give", "take", "read", "learn")}
     return p._replace(**zero, start=np.ones_like(p.start))
 

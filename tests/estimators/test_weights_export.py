@@ -16,15 +16,10 @@ from estimators.networks.forward import OnLoihi, real_weights
 from estimators.networks.gru import Recurrent
 from estimators.networks.layer_parameters import Weights
 from estimators.networks.network import NetworkEstimator
-from estimators.networks.weights_file import (
-    NetworkConfig,
-    load_network,
-    save_network,
-)
+from estimators.networks.weights_file import NetworkConfig, load_network, save_network
 
 
 def state_of(config):
-    """The layout of an exported network's state in memory."""
     neuron = [("u", np.int32), ("v", np.int32)]
     spikes = [("encoding_spikes", np.uint16), ("hidden_spikes", np.uint16)]
     fired = [("encoding_fired", np.uint16, config.encoding), ("hidden_fired", np.uint16, config.hidden)]
@@ -53,7 +48,6 @@ def compiled(tmp_path):
 
 
 def fired(state, layer, size):
-    """Which neurons of a layer spiked, as the emulator has it."""
     found = np.zeros(size, np.uint8)
     found[state[f"{layer}_fired"][: state[f"{layer}_spikes"]]] = 1
     return found
@@ -117,7 +111,6 @@ def test_c_source_equals_the_emulator_in_every_state_of_every_step(compiled, tmp
 
 
 def norse_network(graph):
-    """Norse as it comes, in float32."""
     norse = pytest.importorskip("norse.torch", reason="Norse is not installed")
     return norse.from_nir(graph, dt=float(graph.metadata["dt"])), lambda state: state.cache["06_hidden"]
 
@@ -175,7 +168,6 @@ def test_a_nir_file_spikes_in_other_tools_as_the_network_in_floats(tmp_path, hum
 
 
 def node_of(graph, name):
-    """A node by its name without the number before it."""
     return next(node for key, node in graph.nodes.items() if key[3:] == name)
 
 

@@ -8,21 +8,15 @@ from quadsim.config.toml import Strict, load_toml, merged, read_text
 
 
 class Rotor(Strict):
-    """A nested table."""
-
     radius: Annotated[float, Field(gt=0)]
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 class Calm(Strict):
-    """A member of a union without further keys."""
-
     kind: Literal["calm"]
 
 
 class Storm(Strict):
-    """A member of a union with a key of its own."""
-
     kind: Literal["storm"]
     speed: Annotated[float, Field(ge=0, le=50)]
 

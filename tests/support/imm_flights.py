@@ -25,7 +25,6 @@ VARIED = changed(
 
 
 def imm(**params):
-    """The estimator at 200 Hz."""
     est = create("imm", RATE, **params)
     assert isinstance(est, InteractingModels)
     return est
