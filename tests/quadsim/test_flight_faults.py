@@ -143,9 +143,8 @@ def test_vibration_has_its_amplitude_and_a_phase_of_its_own():
     wave = corrupted(shaking, 1100, n=2, value=0.0) - np.arange(1100.0)[:, None, None]
     assert not wave[:100].any()
     amplitude = np.repeat([np.pi / 2, 2.0], 3)
-    np.testing.assert_allclose(
-        np.sqrt((wave[100:] ** 2).mean(axis=0)), np.tile(amplitude / np.sqrt(2), (2, 1)), rtol=0.02
-    )
+    rms = np.sqrt((wave[100:] ** 2).mean(axis=0))
+    np.testing.assert_allclose(rms, np.tile(amplitude / np.sqrt(2), (2, 1)), rtol=0.02)
     assert np.abs(wave[100, 0] - wave[100, 1]).max() > 1e-3
 
 
