@@ -42,11 +42,6 @@ def turning(steps, seconds_before_turn=0.0, axis=(1.0, 2.0, 0.5), speed=2.0):
     return gyro[None], GRAVITY * quat_rotate_inverse(quat, [0.0, 0.0, 1.0])[None], roll_pitch_from_quat(quat)
 
 
-def free(p):
-    zero = {name: 0 * getattr(p, name) for name in ("mix", "pull", "give", "take", "read", "learn")}
-    return p._replace(**zero, start=np.ones_like(p.start))
-
-
 def test_a_quick_start_closes_fast_gates_that_are_open_at_the_start_and_nothing_else():
     p = untrained()
     quick = with_quick_start(p)
@@ -81,7 +76,9 @@ def test_a_vehicle_that_begins_with_a_dash_is_not_turned_over(scenario):
 def test_a_vector_that_nothing_pulls_follows_ten_turns(name, speed, allowed_deg):
     steps = round(20 * np.pi / speed * RATE_HZ)
     gyro, accel, truth = turning(steps, speed=speed)
-    est = circuit_estimator(name, free(untrained())._replace(scale=np.full(4, 1.2)))
+    p = untrained()
+    zero = {each: 0 * getattr(p, each) for each in ("mix", "pull", "give", "take", "read", "learn")}
+    est = circuit_estimator(name, p._replace(**zero, start=np.ones_like(p.start), scale=np.full(4, 1.2)))
     found = est.sequence(gyro, accel)
     assert inclination_error(found[0, -1], truth[-1]) < allowed_deg
     assert np.linalg.norm(est.up[0]) == pytest.approx(1, abs=0.06)
