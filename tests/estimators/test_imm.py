@@ -52,12 +52,10 @@ def flights(tmp_path_factory):
 
 @pytest.fixture
 def flight(flights):
-    """Two of them."""
     return tuple(each[:2] for each in flights)
 
 
 def believed(est, gyro, accel):
-    """What it believes of its models, which it has."""
     found = beliefs(est, gyro, accel)
     assert found is not None
     return found
@@ -75,7 +73,6 @@ def test_the_density_is_student_s_t_of_scipy():
 
 @njit
 def gather(records, params, sample, count):
-    """Take a sample into the sums of the first record, many times."""
     for _ in range(count):
         accumulate(records[0], params[0], sample)
 
@@ -124,11 +121,8 @@ def test_rest_is_given_up_at_once():
 
 
 def test_it_changes_its_model_within_seconds(flight):
-    """Into the hand, and back in the air."""
-    hand, flown = in_the_hand(10.0), flight
-    gyro, accel = (
-        np.concatenate([flown[k][:1, :3000], hand[k], flown[k][:1, 3000:]], axis=1) for k in (0, 1)
-    )
+    readings = zip(flight, in_the_hand(10.0)[:2], strict=False)
+    gyro, accel = (np.concatenate([air[:1, :3000], hand, air[:1, 3000:]], axis=1) for air, hand in readings)
     found = believed(imm(), gyro, accel)
     flying = found.probability[0, :, MULTIROTOR]
     assert flying[150:].max() > 0.99
@@ -159,11 +153,6 @@ def test_a_bias_that_steps_in_flight_is_found_within_ten_seconds(flights):
     assert error < 0.35 * blind
 
 
-def test_a_flight_without_a_step_has_none(flights):
-    """What is always ready for a step is hardly worse than what knows that none comes."""
-    assert rmse(imm(), *flights) < rmse(imm(step_ratio=1e9), *flights) + 0.3
-
-
 def test_dashes_that_follow_each_other_are_not_taken_for_steps(tmp_path):
     """A dash turns the estimate as a step would: only its being usual tells that it is none."""
     found = load_flights([generated(tmp_path, load_recipe("cruise"), 4, 60.0, seed=9000)])
@@ -173,7 +162,6 @@ def test_dashes_that_follow_each_other_are_not_taken_for_steps(tmp_path):
 
 @njit
 def take_step(models, params, matrix):
-    """A step of the bias is found by the first model."""
     adapt_bias(models[0], params[0], 0.02, np.zeros(ERRORS), 0.0, matrix)
 
 
@@ -271,9 +259,9 @@ def test_sigma_grows_under_vibration(flight):
 
 @pytest.mark.parametrize("sensor", [0, 1])
 def test_a_sensor_that_is_missing_for_two_seconds_does_no_lasting_harm(flight, sensor):
-    readings = [flight[0].copy(), flight[1].copy()]
+    readings = [each.copy() for each in flight]
     readings[sensor][:, 3000:3400] = np.nan
-    assert rmse(imm(), readings[0], readings[1], flight[2], after=25.0) < 3.0
+    assert rmse(imm(), *readings, after=25.0) < 3.0
 
 
 def test_an_estimate_that_is_upside_down_is_given_up_within_seconds(flight):
