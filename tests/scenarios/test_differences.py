@@ -52,7 +52,7 @@ def test_a_breaking_point_is_the_least_level_with_a_crash():
 def test_pairing_removes_what_the_flights_share():
     hard = np.random.default_rng(0).uniform(1, 50, 6)
     gap = np.array([1.0, 1.2, 0.8, 1.1, 0.9, 1.0])
-    flights = [("a", "x", i, hard[i] + gap[i]) for i in range(6)] + [("a", "y", i, hard[i]) for i in range(6)]
+    flights = [("a", name, i, hard[i] + k * gap[i]) for k, name in enumerate("yx") for i in range(6)]
     half = 2.5706 * gap.std(ddof=1) / np.sqrt(6)  # Student's t at 97.5 % with 5 degrees of freedom
     assert paired_difference(table(*flights), "x", "y", "error_deg") == pytest.approx((1.0, half), rel=1e-4)
 
