@@ -1,16 +1,22 @@
-"""Small synthetic flights for the tests of estimators: cheap, seeded, and of a known physics."""
+"""The command line, recordings, and small synthetic flights: cheap, seeded, and of a known physics."""
 
 import os
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
 import xarray as xr
+from sensor import body_rate
 
+from quadsim.cli import main
 from quadsim.rotation import quat_from_euler, quat_rotate, quat_rotate_inverse
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
+DOCS = Path(__file__).parents[1] / "docs"
 RECORDINGS = Path(os.environ.get("QUADSIM_REALDATA", Path(__file__).parents[2] / "shared" / "realdata"))
 
 
@@ -31,6 +37,60 @@ def broad() -> list[Path]:
     return trials
 
 
+@pytest.fixture(scope="module")
+def script() -> Iterator[Callable[[str], ModuleType]]:
+    """Import a script of docs/."""
+    before = set(sys.modules)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(DOCS)
+        yield import_module
+    for name in set(sys.modules) - before:
+        if str(DOCS) in str(getattr(sys.modules[name], "__file__", "")):
+            del sys.modules[name]
+
+
+@pytest.fixture
+def quadsim(monkeypatch, capsys, tmp_path):
+    """Run the command line in an empty folder: (exit code, standard output, standard error)."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["quadsim", *map(str, arguments)])
+        with pytest.raises(SystemExit) as stop:
+            main()
+        captured = capsys.readouterr()
+        return stop.value.code, captured.out, captured.err
+
+    return run
+
+
+@pytest.fixture
+def printed(quadsim):
+    """Run the command line, which has to succeed: standard output."""
+
+    def run(*arguments):
+        code, out, err = quadsim(*arguments)
+        assert code == 0, err
+        return out
+
+    return run
+
+
+@pytest.fixture
+def refused(quadsim):
+    """Run the command line, which has to refuse in one line: that line."""
+
+    def run(*arguments):
+        code, _, err = quadsim(*arguments)
+        assert code == 2, err
+        (line,) = (line for line in err.splitlines() if line.startswith("quadsim:"))
+        assert "Traceback" not in err
+        return line
+
+    return run
+
+
 def fly(
     flights: int = 4, seconds: float = 20.0, rate_hz: float = 200.0, noise: float = 1.0, seed: int = 0
 ) -> xr.Dataset:
@@ -46,14 +106,7 @@ def fly(
     roll, pitch, yaw = np.moveaxis((size * np.sin(freq * t + phase)).sum(axis=2), 1, 0)
     d_roll, d_pitch, d_yaw = np.moveaxis((size * freq * np.cos(freq * t + phase)).sum(axis=2), 1, 0)
     quat = quat_from_euler(roll, pitch, yaw)
-    rate = np.stack(
-        [
-            d_roll - d_yaw * np.sin(pitch),
-            d_pitch * np.cos(roll) + d_yaw * np.cos(pitch) * np.sin(roll),
-            -d_pitch * np.sin(roll) + d_yaw * np.cos(pitch) * np.cos(roll),
-        ],
-        axis=-1,
-    )
+    rate = body_rate(roll, pitch, d_roll, d_pitch, d_yaw)
     thrust = 9.81 / (np.cos(roll) * np.cos(pitch))
     force, velocity = np.empty_like(rate), np.zeros((flights, 3))
     for k in range(t.size):
@@ -73,7 +126,6 @@ def fly(
 
 @pytest.fixture(scope="session")
 def make_flights():
-    """The function `fly`."""
     return fly
 
 

@@ -7,17 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from controllers import CONFIG, random_snn
 
 from estimators import create
 from estimators.control.controller import create_controller
 from estimators.export.formats import export_weights
-from estimators.networks.weights_file import (
-    NetworkConfig,
-    SetPointScaling,
-    expected_shapes,
-    save_network,
-    shipped_controllers,
-)
+from estimators.networks.weights_file import save_network, shipped_controllers
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "docs"))
 cortex = import_module("cortex")
@@ -75,17 +70,7 @@ def test_the_crazyflies_controller_compiles_against_the_firmwares_declarations(t
     example = Path(__file__).parents[1] / "examples" / "crazyflie"
     (tmp_path / "src").mkdir()
     (tmp_path / "src" / "snn_controller.c").write_bytes((example / "src" / "snn_controller.c").read_bytes())
-    config = NetworkConfig(
-        model="att-snn",
-        encoding=8,
-        hidden=8,
-        outputs="angular-acceleration",
-        set_point=SetPointScaling(),
-    )
-    rng = np.random.default_rng(0)
-    shapes = expected_shapes(config).items()
-    drawn = {name: 2 * rng.integers(1, 60, shape).astype(np.int16) for name, shape in shapes}
-    save_network(tmp_path / "control.safetensors", config, drawn)
+    save_network(tmp_path / "control.safetensors", CONFIG, random_snn(CONFIG))
     export_weights(tmp_path / "control.safetensors", tmp_path / "src" / "network", "c99")
     flags = ["-std=gnu11", "-Wall", "-Wextra", "-Werror", "-O2", f"-I{example / 'stub_headers'}"]
     for source in ("snn_controller.c", "network/snn_control.c"):

@@ -1,9 +1,6 @@
 """Errors on flights of RotorPy, as pages show them."""
 
-import sys
 from functools import partial
-from importlib import import_module
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,17 +8,15 @@ import pytest
 from estimators import create
 
 pytest.importorskip("rotorpy")
-DOCS = Path(__file__).parents[1] / "docs"
 
 
-def test_the_truth_has_no_error_and_a_level_guess_none_in_hover(tmp_path, monkeypatch):
+def test_the_truth_has_no_error_and_a_level_guess_none_in_hover(script, tmp_path, monkeypatch):
     from rotorpy.trajectories.hover_traj import HoverTraj
     from rotorpy.wind.default_winds import NoWind
 
     import scenarios.task.rotorpy_flights as rotorpy
 
-    monkeypatch.syspath_prepend(DOCS)
-    foreign, errors = import_module("foreign"), import_module("errors")
+    foreign, errors = script("foreign"), script("errors")
     monkeypatch.setattr(rotorpy, "lissajous", lambda rng: HoverTraj(np.array([0.0, 0.0, 2.0])))
     monkeypatch.setattr(rotorpy, "wind_of", lambda plan, rng: NoWind())
     fly = partial(rotorpy.fly, warmup_s=0.0)
@@ -34,5 +29,3 @@ def test_the_truth_has_no_error_and_a_level_guess_none_in_hover(tmp_path, monkey
     cell = errors.with_silenced(found.loc["att-rnn", "unknown"])
     assert cell.endswith("(silenced 0.00)")
     assert float(cell.split()[0]) > 0.0
-    for name in ("errors", "foreign", "simulated", "pages"):
-        sys.modules.pop(name, None)

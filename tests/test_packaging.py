@@ -71,7 +71,6 @@ def run(command, folder, **variables):
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
-    """A wheel that was made of the source archive."""
     folder = tmp_path_factory.mktemp("dist")
     tracked = run(["git", "ls-files", "-z"], ROOT).split("\0")
     for name in filter(None, tracked):
@@ -173,13 +172,9 @@ def test_without_pytorch_all_but_training_runs_and_training_names_the_extra(tmp_
         "fly hover --estimator att-snn-loihi --duration 0.2 --out flight",
         "train --data flights.zarr --out snn",
     ]
-    done = subprocess.run(
-        [sys.executable, "-c", COMMANDS, *commands],
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": f"{tmp_path}:{ROOT}"},
-        capture_output=True,
-        text=True,
-    )
+    env = os.environ | {"PYTHONPATH": f"{tmp_path}:{ROOT}"}
+    command = [sys.executable, "-c", COMMANDS, *commands]
+    done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True)
     assert done.returncode == 2
     assert done.stderr.endswith('quadsim: this needs the package torch: pip install "quadsim[train]"\n')
     assert all((tmp_path / name).exists() for name in ("scores", "flight"))

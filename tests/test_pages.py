@@ -1,7 +1,5 @@
 """Stamps of measured parts: what `make check` refuses, and what it lists as old."""
 
-import sys
-from importlib import import_module
 from pathlib import Path
 
 import pandas as pd
@@ -14,11 +12,8 @@ THING = '"""A module."""\n\n\ndef double(x):\n    """Twice x."""\n    return 2 *
 
 
 @pytest.fixture(scope="module")
-def pages():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(DOCS)
-        yield import_module("pages")
-    del sys.modules["pages"]
+def pages(script):
+    return script("pages")
 
 
 @pytest.fixture

@@ -1,7 +1,5 @@
 """Scripts that publish a comparison raise where it does not hold."""
 
-import sys
-from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,19 +8,6 @@ import pytest
 
 from estimators import create
 from estimators.evaluation.flights import load_flights
-
-DOCS = Path(__file__).parents[1] / "docs"
-SCRIPTS = ("cortex", "layers", "errors", "simulated", "pages", "foreign")
-
-
-@pytest.fixture(scope="module")
-def script():
-    """A function that imports a script of docs/."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(DOCS)
-        yield import_module
-    for name in SCRIPTS:
-        sys.modules.pop(name, None)
 
 
 @pytest.fixture(scope="module")

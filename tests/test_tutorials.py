@@ -70,12 +70,10 @@ def run(tmp_path, monkeypatch, capsys):
 
 
 def commands_of(text):
-    """Lines of a script, those that go on joined."""
     return [line for line in text.replace("\\\n", " ").splitlines() if line]
 
 
 def run_alone(command):
-    """Run a command in a process of its own."""
     scripts = Path(sys.executable).parent
     env = os.environ | {"PATH": f"{scripts}{os.pathsep}{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
     done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=300)

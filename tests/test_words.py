@@ -1,29 +1,14 @@
 """The words that `make check` refuses."""
 
-import sys
-from importlib import import_module
-from pathlib import Path
 
-import pytest
-
-DOCS = Path(__file__).parents[1] / "docs"
-
-
-@pytest.fixture
-def words(monkeypatch):
-    monkeypatch.syspath_prepend(DOCS)
-    yield import_module("words")
-    del sys.modules["words"]
-
-
-def test_words_are_found_in_prose_and_docstrings_and_not_in_code(words, tmp_path):
+def test_words_are_found_in_prose_and_docstrings_and_not_in_code(script, tmp_path):
     (tmp_path / "docs").mkdir()
     (tmp_path / "docs/a.md").write_text("One.\n```\nnobody\n```\nIt starts anew.\n")
     (tmp_path / "docs/a.py").write_text(
         '"""Fine."""\ntold = 1\n\n\ndef f():\n    """x\n\n    Told.\n    """\n'
     )
-    assert words.found(tmp_path) == ["docs/a.md:5: anew", "docs/a.py:8: Told"]
+    assert script("words").found(tmp_path) == ["docs/a.md:5: anew", "docs/a.py:8: Told"]
 
 
-def test_the_project_has_none_of_them(words):
-    assert words.found() == []
+def test_the_project_has_none_of_them(script):
+    assert script("words").found() == []

@@ -80,17 +80,13 @@ def disturbed(gyro, accel, at):
 
 @pytest.fixture(scope="module")
 def clean(make_flights):
-    """Two flights of 23 s."""
     flights = make_flights(2, 23.0)
     return flights.gyro.values, flights.accel.values
 
 
 def away_after_faults(clean, name):
-    """How far from the run without a fault the estimate is after 10 s, by fault, in the worst flight [deg].
-
-    From 12 s on; of the filters in Python one flight at 100 Hz, and one second before the faults.
-    """
-    if name.endswith("filterpy"):  # without a bias, which takes long to settle
+    """Distance from the run without a fault after 10 s, by fault, in the worst flight [deg]."""
+    if name.endswith("filterpy"):  # in Python, and without a bias, which takes long to settle
         rate, (gyro, accel) = 100, disturbed(*(each[:1, 2200::2] for each in clean), at=100)
     else:
         rate, (gyro, accel) = 200, disturbed(*clean, at=2400)

@@ -2,29 +2,14 @@
 
 import numpy as np
 import pytest
+from task_entries import FAIR
 
 import estimators
 from estimators import check_estimator
 from estimators.custom import made_by
 
-
-class Fair:
-    """A complementary filter."""
-
-    def __init__(self, rate_hz):
-        self.dt = 1.0 / rate_hz
-
-    def reset(self, n=1, roll_pitch=None):
-        self.angle = np.zeros((n, 2)) if roll_pitch is None else np.array(roll_pitch, float)
-
-    def bridged(self, gyro, accel):
-        return np.nan_to_num(gyro), np.where(np.isfinite(accel), accel, [0.0, 0.0, 9.81])
-
-    def update(self, gyro, accel):
-        gyro, accel = self.bridged(gyro, accel)
-        tilt = np.arctan2(accel[:, 1], accel[:, 2]), np.arctan2(-accel[:, 0], accel[:, 2])
-        self.angle = 0.98 * (self.angle + self.dt * gyro[:, :2]) + 0.02 * np.column_stack(tilt)
-        return self.angle
+exec(FAIR, namespace := {})
+Fair = namespace["Mine"]
 
 
 @pytest.mark.parametrize("name", estimators.names())
@@ -76,8 +61,9 @@ class Remembers(Fair):
 
 
 class Forever(Fair):
-    def bridged(self, gyro, accel):
-        return gyro, accel
+    def update(self, gyro, accel):
+        self.angle = self.angle + 0.0 * gyro[:, :2]
+        return super().update(gyro, accel)
 
 
 class Deaf(Fair):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from c_export import built
+from c_export import SAMPLES, built, hard_readings
 
 from estimators.circuit.circuit_estimator import circuit_estimator
 from estimators.circuit.file import CircuitConfig, save_circuit
@@ -10,20 +10,7 @@ from estimators.circuit.parameters import untrained
 from estimators.export.circuit_c import write_circuit_c
 from estimators.export.formats import export_weights
 
-VECTORS, GATES, SAMPLES = 6, 16, 2000
-
-
-def readings(seed):
-    """Turns up to 40 rad/s and forces up to 150 m/s², rest, and readings that no IMU gives, (T, 6)."""
-    rng = np.random.default_rng(seed)
-    size = np.repeat(rng.uniform(0, 1, (SAMPLES // 50, 2)) ** 3, 50, axis=0)
-    gyro = rng.uniform(-40, 40, (SAMPLES, 3)) * size[:, :1]
-    accel = [0, 0, 9.81] + rng.uniform(-150, 150, (SAMPLES, 3)) * size[:, 1:]
-    gyro[300:600], accel[300:600] = (0.05, -0.02, 0.01), (0.4, -0.3, 9.8)
-    gyro[700:900], accel[700:900] = 40.0, -150.0
-    gyro[100:130, 1], accel[200, 0], accel[300:320], gyro[400], accel[500] = np.nan, np.inf, 0.0, 1e30, -1e30
-    gyro[650], accel[650] = 5e-324, (0.0, -0.0, 1e-300)
-    return np.concatenate([gyro, accel], 1)
+VECTORS, GATES = 6, 16
 
 
 def circuit(seed=0):
@@ -68,22 +55,19 @@ def compiled(tmp_path):
     return build
 
 
-def assert_states_equal(theirs, ours, label):
-    for name in theirs.dtype.names:
-        np.testing.assert_array_equal(theirs[name].ravel(), ours[name].ravel(), err_msg=f"{name} at {label}")
-
-
 @pytest.mark.parametrize("steps", [1, 2, 4])
 def test_the_c_source_has_every_integer_and_output_of_the_circuit(compiled, steps):
     p = circuit(steps)
-    samples = readings(steps)
+    samples = hard_readings(steps)
     found = compiled(p, steps)(samples)
     assert len(found) == SAMPLES
     est = circuit_estimator("att-snn", p, steps)
     passed = np.zeros((3, GATES), bool)
     for t, (row, theirs) in enumerate(zip(samples, found, strict=True)):
         est.update(row[None, :3], row[None, 3:])
-        assert_states_equal(theirs["state"], est.states[0], t)
+        for name in theirs["state"].dtype.names:
+            state = theirs["state"][name].ravel(), est.states[0][name].ravel()
+            np.testing.assert_array_equal(*state, err_msg=f"{name} at {t}")
         assert est.up is not None
         np.testing.assert_array_equal(theirs["up"], est.up[0], err_msg=f"up at {t}")
         passed |= est.states[0]["passed"].reshape(3, GATES) != 0

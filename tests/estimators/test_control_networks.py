@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from controllers import CONFIG, random_tensors, readings
+from controllers import CONFIG, random_snn, readings
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -13,23 +13,17 @@ from estimators.control import SpikingController, create_controller
 from estimators.control.controller import THRUST_MAX, follow, gravity_of
 from estimators.networks.forward import OnLoihi
 from estimators.networks.network import silenced
-from estimators.networks.weights_file import (
-    NetworkConfig,
-    save_network,
-    shipped_controllers,
-    shipped_names,
-)
+from estimators.networks.weights_file import NetworkConfig, save_network, shipped_controllers, shipped_names
 from quadsim.vehicle import GRAVITY
 
 
 @pytest.fixture
 def file(tmp_path):
-    save_network(tmp_path / "c.safetensors", CONFIG, random_tensors())
+    save_network(tmp_path / "c.safetensors", CONFIG, random_snn(CONFIG))
     return tmp_path / "c.safetensors"
 
 
 def stream(controller, wanted, gyro, accel, roll_pitch):
-    """Sample by sample, of a controller at rest."""
     controller.reset(len(gyro))
     samples = (each.swapaxes(0, 1) for each in (wanted, gyro, accel, roll_pitch))
     return np.stack([controller.update(*each) for each in zip(*samples, strict=True)], 1)
@@ -75,15 +69,17 @@ def test_gravity_of_an_attitude_is_the_specific_force_at_rest(roll, pitch):
 
 def test_activity_on_the_chip_ends_with_the_outputs_of_the_controller():
     wanted, gyro, accel = readings(2, 40)
-    activity = record(OnLoihi(CONFIG, random_tensors()), gyro, accel, follow(CONFIG.set_point, wanted).inputs)
-    plain = SpikingController(CONFIG, random_tensors())
+    activity = record(
+        OnLoihi(CONFIG, random_snn(CONFIG)), gyro, accel, follow(CONFIG.set_point, wanted).inputs
+    )
+    plain = SpikingController(CONFIG, random_snn(CONFIG))
     plain.reset(2)
     out = plain.sequence(wanted, gyro, accel)[..., :3]
     assert np.array_equal(np.clip(activity.estimate, -30.0, 30.0), out)
 
 
 def outputs_of(*signals):
-    return SpikingController(CONFIG, random_tensors()).sequence(*signals)
+    return SpikingController(CONFIG, random_snn(CONFIG)).sequence(*signals)
 
 
 def test_missing_samples_keep_the_last_valid_ones():
@@ -109,7 +105,7 @@ numbers = st.floats(allow_nan=True, allow_infinity=True, width=64)
 @settings(max_examples=60, deadline=None)
 @given(st.lists(numbers, min_size=10, max_size=10), st.integers(1, 20))
 def test_outputs_are_bounded_whatever_comes_in(values, repeats):
-    controller = SpikingController(CONFIG, random_tensors())
+    controller = SpikingController(CONFIG, random_snn(CONFIG))
     controller.reset(1)
     wanted, gyro, accel = np.split(np.array(values)[None], (4, 7), axis=1)
     for _ in range(repeats):
@@ -128,7 +124,7 @@ def test_set_points_beyond_their_limits_act_as_those_at_the_limits():
 
 def test_a_restarted_vehicle_begins_anew_and_the_others_go_on():
     signals = readings(2, 40)
-    continued, restarted, new = (SpikingController(CONFIG, random_tensors()) for _ in range(3))
+    continued, restarted, new = (SpikingController(CONFIG, random_snn(CONFIG)) for _ in range(3))
     for each in (continued, restarted):
         each.reset(2)
         each.sequence(*signals)
@@ -139,7 +135,7 @@ def test_a_restarted_vehicle_begins_anew_and_the_others_go_on():
 
 
 def test_a_silenced_controller_asks_for_no_angular_acceleration():
-    controller = SpikingController(CONFIG, silenced(CONFIG, random_tensors()))
+    controller = SpikingController(CONFIG, silenced(CONFIG, random_snn(CONFIG)))
     assert not controller.sequence(*readings(1, 30))[..., :3].any()
 
 
@@ -151,7 +147,7 @@ def test_weights_for_another_task_or_sample_rate_and_samples_of_another_shape_ar
     with pytest.raises(ValueError, match="weights are for 200 Hz, not for 500 Hz"):
         create_controller(file, 500.0)
     with pytest.raises(ValueError, match=r"set_point: shape \(1, 1, 3\), should be \(1, 1, 4\)"):
-        SpikingController(CONFIG, random_tensors()).sequence(*np.zeros((3, 1, 1, 3)))
+        SpikingController(CONFIG, random_snn(CONFIG)).sequence(*np.zeros((3, 1, 1, 3)))
 
 
 @pytest.mark.parametrize(

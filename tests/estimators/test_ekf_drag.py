@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from estimators import create, run
 from estimators.filters.drag.drag_aided import DRAG as ERRORS
 from estimators.filters.drag.drag_aided import correct_by_zero_velocity, propagate, transition
-from estimators.filters.drag.ekf_drag import RECORD, drag_of
+from estimators.filters.drag.ekf_drag import RECORD
 from estimators.metrics import attitude_error
 from quadsim.rotation import (
     matrix_from_quat,
@@ -20,9 +20,6 @@ from quadsim.rotation import (
 )
 from quadsim.runs.compiled import njit
 from quadsim.vehicle import GRAVITY, load_vehicle
-
-HUMMINGBIRD = drag_of(load_vehicle("hummingbird"))
-
 
 PARTS = np.repeat([0, 1, 2, 3, 4, 1, 3], [2, 2, 3, 2, 2, 1, 1])
 """Which part each component of the error state belongs to: θ, δv, δb, δc or δw; the last are δv_z, δc_z."""
@@ -65,7 +62,6 @@ def perturbed(state, error):
 
 
 def moved(state, gyro, accel, dt):
-    """The state one sample later, without noise."""
     quat, v, w, b, c = state
     quat = quat_multiply(quat, quat_from_rotvec((gyro - b) * dt))
     return quat, v + (quat_rotate(quat, accel - c) - [0.0, 0.0, GRAVITY]) * dt, w, b, c

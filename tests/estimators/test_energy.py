@@ -63,10 +63,8 @@ def test_events_are_spikes_times_the_weights_that_they_meet(network, core, activ
 
 def test_the_modelled_energy_is_that_of_davies_2018():
     """Synaptic operation 23.6 pJ, neuron update 81 and 52, spike within a tile 1.7, hop 3 or 4."""
-    found = costs(dict.fromkeys(PICOJOULES, 2.0))
-    assert [1e3 * line.nanojoules / 2 for line in found] == pytest.approx(
-        [23.6, 81.0, 52.0, 1.7, (3 + 4) / 2]
-    )
+    found = [1e3 * line.nanojoules / 2 for line in costs(dict.fromkeys(PICOJOULES, 2.0))]
+    assert found == pytest.approx([23.6, 81.0, 52.0, 1.7, (3 + 4) / 2])
 
 
 def test_shares_are_what_a_wrong_coefficient_does_to_the_sum(core, activity, monkeypatch):

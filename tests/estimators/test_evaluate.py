@@ -1,11 +1,11 @@
 """The offline comparison: its table, its curves and its figures."""
 
-import csv
 import re
 import sys
 from contextlib import nullcontext
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from estimators import create, run
@@ -82,23 +82,8 @@ class Plain:
 
 
 def updating(name, change):
-    """An estimator whose update is changed."""
     update = Plain.update
     return type(name, (Plain,), {"update": lambda self, *readings: change(self, update(self, *readings))})
-
-
-Huge = updating(
-    "Huge", lambda est, angles: np.full_like(angles, 1e20)
-)  # any wrap at double precision makes it 0
-Constant = updating("Constant", lambda est, angles: 0.0 * angles)
-Exits = updating("Exits", lambda est, angles: sys.exit(0))
-Raises = updating("Raises", lambda est, angles: {}["x"])
-Column = updating("Column", lambda est, angles: angles[:, :1])  # would broadcast
-Complex = updating("Complex", lambda est, angles: angles + 0j)
-Masked = updating("Masked", lambda est, angles: np.ma.masked_array(angles, True))
-Almost = updating(
-    "Almost", lambda est, angles: 1e-6 * angles
-)  # moves by a millionth of what the vehicle does
 
 
 class Peek(Plain):
@@ -112,15 +97,11 @@ class Peek(Plain):
 
 
 class Faster(Plain):
-    """Has a `sequence` that estimates something else than its `update`."""
-
     def sequence(self, gyro, accel):
         return np.stack([0.5 * np.arctan2(accel[..., 1], accel[..., 2]), -accel[..., 0] / 9.81], axis=-1)
 
 
 class Same(Plain):
-    """Has a `sequence` that equals its `update`, and counts its samples."""
-
     def sequence(self, gyro, accel):
         self.samples += gyro.shape[1]
         return self.angle[:, None] + np.cumsum(gyro[..., :2], axis=1) / self.rate_hz
@@ -137,24 +118,27 @@ class Late(Same):
 
 SAME = "returned the same roll and pitch at every sample"
 OTHER = "sequence does not give the estimates of update"
-HOSTILE = {
-    Huge: "returned angles beyond ±100 rad in 100.0 % of the samples",
-    Constant: SAME,
-    Almost: SAME,
-    Peek: "",
-    Exits: "did not run: Exits ends with SystemExit: 0",
-    Raises: "did not run: Raises ends with KeyError: 'x'",
-    Column: r"did not run: Column: update returns a float64 array of shape \(4, 1\); .* shape \(4, 2\)",
-    Complex: r"did not run: Complex: update returns a complex128 array of shape \(4, 2\)",
-    Masked: "did not run: Masked: update returns a masked array",
-    Faster: f"did not run: Faster: {OTHER}",
-    Late: f"did not run: Late: {OTHER}",
-}
+RETURNS = "update returns a"
+HOSTILE = [
+    # any wrap at double precision makes it 0
+    (lambda est, angles: np.full_like(angles, 1e20), "returned angles beyond ±100 rad in 100.0 % of the"),
+    (lambda est, angles: 0.0 * angles, SAME),
+    (lambda est, angles: 1e-6 * angles, SAME),
+    (Peek, ""),
+    (lambda est, angles: sys.exit(0), "did not run: Bad ends with SystemExit: 0"),
+    (lambda est, angles: {}["x"], "did not run: Bad ends with KeyError: 'x'"),
+    (lambda est, angles: angles[:, :1], rf"did not run: Bad: {RETURNS} float64 array of shape \(4, 1\); .*2"),
+    (lambda est, angles: angles + 0j, rf"did not run: Bad: {RETURNS} complex128 array of shape \(4, 2\)"),
+    (lambda est, angles: np.ma.masked_array(angles, True), f"did not run: Bad: {RETURNS} masked array"),
+    (Faster, f"did not run: Faster: {OTHER}"),
+    (Late, f"did not run: Late: {OTHER}"),
+]
 
 
-@pytest.mark.parametrize(("made", "flaw"), HOSTILE.items())
+@pytest.mark.parametrize(("made", "flaw"), HOSTILE)
 def test_what_cannot_be_ranked_is_listed_with_its_reason_and_is_not_the_best(flights, made, flaw):
     part = flights.isel(time=slice(1000))
+    made = made if isinstance(made, type) else updating("Bad", made)
     done = evaluate(part, {"bad": made(), "mahony": create("mahony")}, settle_s=1.0)
     rows = {(row.estimator, row.initial): row for row in done.rows}
     for start in ("unknown", "known"):
@@ -262,8 +246,7 @@ def test_recovery_time_is_the_end_of_the_last_block_that_is_not_below_2_degrees(
 def test_a_silenced_network_estimates_level(flights):
     gyro, accel = flights.gyro.values[:1, :100], flights.accel.values[:1, :100]
     for name in ("att-snn", "att-snn-loihi", "att-rnn"):
-        twin = silenced_twin(name)
-        np.testing.assert_array_equal(run(twin, gyro, accel), np.zeros((1, 100, 2)))
+        assert not run(silenced_twin(name), gyro, accel).any()
     assert silenced_twin("mahony") is None
 
 
@@ -280,10 +263,8 @@ def test_a_network_has_its_silenced_error_beside_it_and_no_known_start(flights):
 def test_table_goes_to_csv(evaluation, tmp_path):
     path = tmp_path / "new" / "table.csv"
     evaluation.write_csv(path)
-    with path.open() as file:
-        rows = list(csv.DictReader(file))
-    assert [row["estimator"] for row in rows] == [row.estimator for row in evaluation.rows]
-    assert float(rows[-1]["mean_deg"]) == evaluation.rows[-1].mean_deg
+    for column in ("estimator", "mean_deg"):
+        assert pd.read_csv(path)[column].tolist() == [getattr(row, column) for row in evaluation.rows]
 
 
 def test_figures_are_drawn_and_each_estimator_has_a_panel_of_its_recovery(evaluation, tmp_path):
@@ -301,9 +282,6 @@ def test_figures_are_drawn_and_each_estimator_has_a_panel_of_its_recovery(evalua
 def test_a_dataset_that_is_not_one_is_named(flights):
     with pytest.raises(ValueError, match="the dataset has no accel"):
         evaluate(flights.drop_vars("accel"), ["mahony"])
-
-
-# --- real recordings --------------------------------------------------------------------------------
 
 
 def test_filters_on_real_recordings_with_optical_truth(broad):

@@ -23,7 +23,7 @@ from quadsim.rotation import (
 )
 from quadsim.vehicle import load_vehicle
 
-QUATERNION = ["mahony", "madgwick", "ekf", "eskf", "ekf-drag", "imm", "ekf-filterpy", "ukf-filterpy", "vqf"]
+QUATERNION = [name for name in CLASSICAL if not name.startswith("complementary")]
 VQF_DEFAULTS = {
     "tauAcc": 3.0,
     "biasForgettingTime": 100.0,
@@ -34,21 +34,17 @@ VQF_DEFAULTS = {
 START = np.array([0.9, 0.1, -0.2, 0.3]) / np.linalg.norm([0.9, 0.1, -0.2, 0.3])
 
 
-def settled(name):
-    """Gains in which a rest of some minutes at 20 Hz is long for every filter."""
-    return {
-        "complementary": {"gamma": 0.97},
-        "complementary-adaptive": {"gamma": 0.97, "k_a": 0.01},
-        "mahony": {"k_p": 1.0, "k_i": 0.05},
-        "madgwick": {"beta": 0.05},
-        "ekf": {"gyro_noise": 0.05, "accel_noise": 0.05},
-        "eskf": {"gyro_noise": 0.05, "accel_noise": 0.05, "bias_sigma": 0.01},
-        "imm": {"gyro_noise": 1e-3, "accel_bias_sigma": 2e-3, "accel_bias_noise": 0.0, "bias_noise": 3e-4},
-        "vqf": VQF_DEFAULTS,
-    }[name]
-
-
-# --- against independent software -------------------------------------------------------------------
+SETTLED = {
+    "complementary": {"gamma": 0.97},
+    "complementary-adaptive": {"gamma": 0.97, "k_a": 0.01},
+    "mahony": {"k_p": 1.0, "k_i": 0.05},
+    "madgwick": {"beta": 0.05},
+    "ekf": {"gyro_noise": 0.05, "accel_noise": 0.05},
+    "eskf": {"gyro_noise": 0.05, "accel_noise": 0.05, "bias_sigma": 0.01},
+    "imm": {"gyro_noise": 1e-3, "accel_bias_sigma": 2e-3, "accel_bias_noise": 0.0, "bias_noise": 3e-4},
+    "vqf": VQF_DEFAULTS,
+}
+"""Gains in which a rest of some minutes at 20 Hz is long for every filter."""
 
 
 @pytest.mark.parametrize(
@@ -121,9 +117,6 @@ def test_inline_functions_of_angles_equal_the_library_s():
         np.testing.assert_allclose(atan2_core(y, z), np.arctan2(y, z), rtol=4e-16)
 
 
-# --- every filter -----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", [*COMPILED, "vqf"])
 def test_run_batch_is_run_for_each_parameter_set(flights, name):
     gyro, accel, quat = arrays(flights, 2, 200)
@@ -164,7 +157,7 @@ def test_known_start_is_where_the_filter_starts(name):
     assert np.degrees(np.abs(out[:, 0] - start)).max() < 1.0
 
 
-@pytest.mark.parametrize("name", [n for n in CLASSICAL if n != "ekf-drag" and "filterpy" not in n])
+@pytest.mark.parametrize("name", SETTLED)
 @settings(max_examples=20, deadline=None)
 @given(
     tilt=st.floats(0.0, 160.0),
@@ -180,7 +173,7 @@ def test_at_rest_every_attitude_is_found_from_every_start(name, tilt, start_tilt
     truth = quat_multiply(quat_from_euler(0.0, 0.0, angles[3]), quat_from_rotvec(angles[0] * axis))
     start = roll_pitch_from_quat(quat_from_rotvec(-0.3 * angles[1] * axis))
     accel = np.tile(quat_rotate_inverse(truth, [0.0, 0.0, 9.81]), (1, 8000, 1))
-    out = run(make(name, 20.0, **settled(name)), np.zeros_like(accel), accel, roll_pitch=start)
+    out = run(make(name, 20.0, **SETTLED[name]), np.zeros_like(accel), accel, roll_pitch=start)
     assert inclination_error(out[0, -1], roll_pitch_from_quat(truth)) < 0.5
 
 
@@ -188,8 +181,8 @@ def test_at_rest_every_attitude_is_found_from_every_start(name, tilt, start_tilt
 def test_gyroscope_bias_is_found_at_rest(name):
     bias = np.array([0.01, -0.008, 0.0])
     accel = np.tile([0.0, 0.0, 9.81], (1, 200 * 120, 1))
-    slow = {"gyro_noise": 1e-3, "accel_noise": 0.05, "bias_sigma": 0.01}
-    est = make(name, 200.0, **(slow if name == "eskf" else settled(name)))
+    slow = {"gyro_noise": 1e-3} if name == "eskf" else {}
+    est = make(name, 200.0, **SETTLED[name] | slow)
     run(est, np.broadcast_to(bias, accel.shape), accel)
     np.testing.assert_allclose(est.gyro_bias[0, :2], bias[:2], atol=1e-3)
 
@@ -204,9 +197,6 @@ def test_tilt_is_about_the_same_at_any_sample_rate(make_flights, name):
         out = run(make(name, rate), gyro[:, 1:], accel[:, 1:], truth[:, 0])
         steps[rate] = out[0, :: int(rate // 100)][:390]
     assert np.degrees(np.abs(steps[100.0] - steps[400.0])).max() < 1.0
-
-
-# --- mistakes ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -238,7 +228,7 @@ def test_mistakes_are_named(call, message):
 
 @pytest.mark.parametrize("name", [name for name in names() if name != "truth"])
 def test_copies_and_pickles_of_an_estimator_go_on_from_its_state(name):
-    est = create(name, vehicle="hummingbird")
+    est = make(name)
     est.reset(2)
     gyro, accel = np.full((2, 3), 0.2), np.array([[0.5, -0.2, 9.7], [1.0, 2.0, 9.0]])
     for _ in range(30):
@@ -296,8 +286,8 @@ def test_estimators_are_given_the_sensors_that_they_accept():
         run(plain, gyro, gyro, mag=mag[:1])
 
 
-@pytest.mark.parametrize("name", ["mahony", "vqf", "att-snn", "truth", "ekf-filterpy", "ekf-drag"])
+@pytest.mark.parametrize("name", names())
 def test_every_estimator_accepts_further_sensors(name):
-    est = create(name, vehicle="hummingbird") if name == "ekf-drag" else create(name)
+    est = make(name)
     est.reset(1)
     assert est.update(np.zeros((1, 3)), np.ones((1, 3)), rotor_vel=np.ones((1, 4)), mag=None).shape == (1, 2)

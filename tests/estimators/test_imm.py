@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from imm_flights import RATE, VARIED, generated, imm, rmse
+from imm_flights import RATE, VARIED, imm, rmse
 from scipy.stats import multivariate_t
+from small_dataset import generated
 
 from estimators import create, run
 from estimators.evaluation.beliefs import beliefs
@@ -51,18 +52,13 @@ def flights(tmp_path_factory):
 
 @pytest.fixture
 def flight(flights):
-    """Two of them."""
     return tuple(each[:2] for each in flights)
 
 
 def believed(est, gyro, accel):
-    """What it believes of its models, which it has."""
     found = beliefs(est, gyro, accel)
     assert found is not None
     return found
-
-
-# --- equations --------------------------------------------------------------------------------------
 
 
 def test_the_density_is_student_s_t_of_scipy():
@@ -77,7 +73,6 @@ def test_the_density_is_student_s_t_of_scipy():
 
 @njit
 def gather(records, params, sample, count):
-    """Take a sample into the sums of the first record, many times."""
     for _ in range(count):
         accumulate(records[0], params[0], sample)
 
@@ -92,9 +87,6 @@ def test_a_force_is_integrated_in_the_axes_at_the_end_of_a_turn():
     gather(records, imm()._params, sample, count)
     expected = np.array([np.sin(turn), np.cos(turn) - 1.0, 0.0]) / rate[2]
     np.testing.assert_allclose(records["push"][0], expected, atol=0.01 * count * dt)
-
-
-# --- which model ------------------------------------------------------------------------------------
 
 
 def test_in_flight_it_believes_in_a_multirotor_and_beats_estimators_that_do_not(flight):
@@ -129,20 +121,14 @@ def test_rest_is_given_up_at_once():
 
 
 def test_it_changes_its_model_within_seconds(flight):
-    """Into the hand, and back in the air."""
-    hand, flown = in_the_hand(10.0), flight
-    gyro, accel = (
-        np.concatenate([flown[k][:1, :3000], hand[k], flown[k][:1, 3000:]], axis=1) for k in (0, 1)
-    )
+    readings = zip(flight, in_the_hand(10.0)[:2], strict=False)
+    gyro, accel = (np.concatenate([air[:1, :3000], hand, air[:1, 3000:]], axis=1) for air, hand in readings)
     found = believed(imm(), gyro, accel)
     flying = found.probability[0, :, MULTIROTOR]
     assert flying[150:].max() > 0.99
     assert flying[200:250].max() < 0.5
     assert flying[100:150].min() > 0.9
     assert flying[-50:].min() > 0.9
-
-
-# --- a wrong start, steps and blows -------------------------------------------------------------------
 
 
 def test_a_start_that_is_given_wrong_is_not_taken_for_a_bias(flight):
@@ -167,11 +153,6 @@ def test_a_bias_that_steps_in_flight_is_found_within_ten_seconds(flights):
     assert error < 0.35 * blind
 
 
-def test_a_flight_without_a_step_has_none(flights):
-    """What is always ready for a step is hardly worse than what knows that none comes."""
-    assert rmse(imm(), *flights) < rmse(imm(step_ratio=1e9), *flights) + 0.3
-
-
 def test_dashes_that_follow_each_other_are_not_taken_for_steps(tmp_path):
     """A dash turns the estimate as a step would: only its being usual tells that it is none."""
     found = load_flights([generated(tmp_path, load_recipe("cruise"), 4, 60.0, seed=9000)])
@@ -181,7 +162,6 @@ def test_dashes_that_follow_each_other_are_not_taken_for_steps(tmp_path):
 
 @njit
 def take_step(models, params, matrix):
-    """A step of the bias is found by the first model."""
     adapt_bias(models[0], params[0], 0.02, np.zeros(ERRORS), 0.0, matrix)
 
 
@@ -214,9 +194,6 @@ def test_a_hand_that_shakes_harder_than_80_m_s2_is_measured():
     assert rmse(imm(), gyro, accel, roll_pitch_from_quat(quat)) < 1.5
 
 
-# --- unknown bias, lever arm and mounting -----------------------------------------------------------
-
-
 def test_a_raw_bias_of_several_degrees_a_second_is_found(flight):
     gyro, accel, truth = flight
     assert rmse(imm(), gyro + BIAS, accel, truth) < rmse(imm(), gyro, accel, truth) + 0.5
@@ -245,9 +222,6 @@ def test_a_thrust_that_is_not_along_body_z_is_no_tilt(flight):
     true = quat_multiply(quat_from_euler(truth[..., 0], truth[..., 1], 0.0), quat_conjugate(mount))
     error = inclination_error(out, roll_pitch_from_quat(true))[:, 2000:]
     assert np.sqrt(np.mean(error**2)) < 2.0
-
-
-# --- how sure ---------------------------------------------------------------------------------------
 
 
 def test_the_truth_is_within_the_95_percent_interval_as_often_as_it_should(flight):
@@ -285,9 +259,9 @@ def test_sigma_grows_under_vibration(flight):
 
 @pytest.mark.parametrize("sensor", [0, 1])
 def test_a_sensor_that_is_missing_for_two_seconds_does_no_lasting_harm(flight, sensor):
-    readings = [flight[0].copy(), flight[1].copy()]
+    readings = [each.copy() for each in flight]
     readings[sensor][:, 3000:3400] = np.nan
-    assert rmse(imm(), readings[0], readings[1], flight[2], after=25.0) < 3.0
+    assert rmse(imm(), *readings, after=25.0) < 3.0
 
 
 def test_an_estimate_that_is_upside_down_is_given_up_within_seconds(flight):

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from imm_flights import RATE, VARIED, generated, imm, rmse
+from imm_flights import RATE, VARIED, imm, rmse
+from small_dataset import generated
 
 from estimators import run, run_batch
 from estimators.evaluation.comparison import evaluate

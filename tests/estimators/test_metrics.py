@@ -57,8 +57,7 @@ def test_samples_without_truth_are_not_scored():
 def test_an_estimate_that_is_no_number_is_180_degrees_wrong():
     truth = np.radians([[[10.0, -20.0]] * 4])
     truth[0, 3] = np.nan
-    estimate = np.zeros_like(truth)
-    estimate[0, :2] = truth[0, :2]
+    estimate = truth.copy()
     estimate[0, 2:] = np.nan, np.inf
     assert attitude_error(estimate, truth).mean == pytest.approx(60.0)
     np.testing.assert_allclose(inclination_error(estimate, truth)[0, :3], [0.0, 0.0, 180.0], atol=1e-6)
@@ -83,10 +82,8 @@ def test_a_filter_that_counts_turns_is_scored_modulo_a_turn():
 
 def moving(n=2, samples=100):
     """True roll and pitch of vehicles that swing, (n, samples, 2) [rad]."""
-    time = np.arange(samples) / 200.0
-    return np.stack(
-        [np.stack([0.3 * np.sin(3.0 * time + i), 0.2 * np.cos(2.0 * time)], axis=-1) for i in range(n)]
-    )
+    time, phase = np.arange(samples) / 200.0, np.arange(n)[:, None]
+    return np.stack([0.3 * np.sin(3.0 * time + phase), 0.2 * np.cos(2.0 * time + 0 * phase)], axis=-1)
 
 
 NO_NUMBER = "returned roll or pitch that is not a finite number in"

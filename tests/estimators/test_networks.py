@@ -16,12 +16,7 @@ from estimators.networks.encoder import scaled_inputs
 from estimators.networks.forward import OnLoihi, real_weights
 from estimators.networks.gru import Recurrent, tanh
 from estimators.networks.layer_parameters import EXPONENTS, Weights
-from estimators.networks.network import (
-    BatchedNetwork,
-    NetworkEstimator,
-    create_network,
-    silenced,
-)
+from estimators.networks.network import BatchedNetwork, NetworkEstimator, create_network, silenced
 from estimators.networks.weights_file import (
     NetworkConfig,
     expected_shapes,
@@ -37,17 +32,18 @@ def random_rnn(config, seed=0):
     return {k: rng.normal(0, 0.2, s).astype(np.float32) for k, s in expected_shapes(config).items()}
 
 
+SNN, RNN = NetworkConfig(model="att-snn", output_scale=1 / 256), NetworkConfig(model="att-rnn")
+
+
 @pytest.fixture
 def snn_file(tmp_path):
-    config = NetworkConfig(model="att-snn", output_scale=1 / 256)
-    save_network(tmp_path / "snn.safetensors", config, random_snn(config))
+    save_network(tmp_path / "snn.safetensors", SNN, random_snn(SNN))
     return tmp_path / "snn.safetensors"
 
 
 @pytest.fixture
 def rnn_file(tmp_path):
-    config = NetworkConfig(model="att-rnn")
-    save_network(tmp_path / "rnn.safetensors", config, random_rnn(config))
+    save_network(tmp_path / "rnn.safetensors", RNN, random_rnn(RNN))
     return tmp_path / "rnn.safetensors"
 
 
@@ -62,14 +58,10 @@ def toward_zero(x, factor):
 @pytest.mark.parametrize("name", ["", "att-snn-paper", "control-attitude"])
 def test_a_network_has_every_state_of_its_layers_on_the_emulated_chip(tmp_path, name):
     """The host's part in plain integers: u[t] = D(u[t-1]) + W x, of which the chip gets steps of 2^4."""
-    config = NetworkConfig(model="att-snn", output_scale=1 / 256)
-    config, tensors = load_network(name) if name else (config, random_snn(config))
+    config, tensors = load_network(name) if name else (SNN, random_snn(SNN))
     core = OnLoihi(config, tensors)
-    est, chip, spikes = (
-        BatchedNetwork(core, 200.0),
-        LoihiNetwork([LoihiLayer(**vars(layer) | BIAS) for layer in core.layers]),
-        np.zeros(2, int),
-    )
+    chip = LoihiNetwork([LoihiLayer(**vars(layer) | BIAS) for layer in core.layers])
+    est, spikes = BatchedNetwork(core, 200.0), np.zeros(2, int)
     est._begin(1)
     gyro, accel = samples(1, 600, 3)
     wanted = np.random.default_rng(0).integers(-1000, 1000, (1, 600, 3)).astype(float)
@@ -99,20 +91,20 @@ def test_a_file_returns_what_was_saved_and_the_same_network_is_the_same_bytes(tm
         assert (tmp_path / str(k)).read_bytes() == (tmp_path / "0").read_bytes()
     found = load_network(tmp_path / "0")
     assert found.config == config
-    assert {name: value.tolist() for name, value in found.tensors.items()} == {
-        name: value.tolist() for name, value in tensors.items()
-    }
+    np.testing.assert_equal(found.tensors, tensors)
     assert (b"set_point" in (tmp_path / "0").read_bytes()) == config.controls
 
 
-@pytest.fixture(
-    params=["att-snn-loihi", "att-rnn", "att-snn circuit", "att-snn-loihi circuit", "att-rnn circuit"]
-)
-def est(request, snn_file, rnn_file):
-    name, *circuit = request.param.split()
-    if circuit:
-        return create(name, weights="att-snn")
-    return create_network(name, weights=rnn_file if name == "att-rnn" else snn_file)
+CIRCUIT = [(name, "") for name in ("att-snn", "att-snn-loihi", "att-rnn")]
+
+
+@pytest.fixture(params=[("att-snn-loihi", "snn_file"), ("att-rnn", "rnn_file"), *CIRCUIT])
+def est(request):
+    """A network of random weights, or the circuit that ships."""
+    name, file = request.param
+    if file:
+        return create_network(name, weights=request.getfixturevalue(file))
+    return create(name, weights="att-snn")
 
 
 def test_streaming_equals_the_whole_sequence_however_many_vehicles_there_are(est):
@@ -194,15 +186,17 @@ def test_the_network_by_the_papers_recipe_has_at_most_its_size():
 def test_bad_files_give_one_clear_line(tmp_path, snn_file, rnn_file):
     config, tensors = load_network(snn_file)
     path = tmp_path / "x.safetensors"
+    path.write_bytes(b"hello")
+    for name, rate_hz, weights, message in (
+        ("att-snn", 200.0, path, "not a safetensors file"),
+        ("att-snn-loihi", 200.0, rnn_file, "weights of att-rnn, att-snn-loihi needs att-snn"),
+        ("att-snn", 100.0, snn_file, "for 200 Hz, not for 100 Hz"),
+        ("att", 200.0, snn_file, "no network 'att'"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            create_network(name, rate_hz, weights=weights)
     with pytest.raises(FileNotFoundError, match="no such weights file"):
         create_network("att-snn", weights=tmp_path / "none")
-    path.write_bytes(b"hello")
-    with pytest.raises(ValueError, match="not a safetensors file"):
-        create_network("att-snn", weights=path)
-    with pytest.raises(ValueError, match="weights of att-rnn, att-snn-loihi needs att-snn"):
-        create_network("att-snn-loihi", weights=rnn_file)
-    with pytest.raises(ValueError, match=r"for 200 Hz, not for 100 Hz"):
-        create_network("att-snn", 100.0, weights=snn_file)
     for change, message in (
         ({"w_ff": tensors["w_ff"][:50]}, r"w_ff has shape \(50, 100\), should be \(100, 100\)"),
         ({"w_ff": tensors["w_ff"].astype(np.float32)}, "w_ff is float32, should be int16"),
@@ -215,8 +209,6 @@ def test_bad_files_give_one_clear_line(tmp_path, snn_file, rnn_file):
     ):
         with pytest.raises(ValueError, match=message):
             save_network(path, config, tensors | change)
-    with pytest.raises(ValueError, match="no network 'att'"):
-        create_network("att", weights=snn_file)
     with pytest.raises(ValueError, match=r"gyro \(1, 2\)"):
         create_network("att-snn", weights=snn_file).update(np.zeros((1, 2)), np.zeros((1, 3)))
 
@@ -256,11 +248,8 @@ def test_declared_shapes_and_types_are_refused_before_a_number_is_read(tmp_path,
 @pytest.mark.parametrize("kind", [OnLoihi, Recurrent])
 def test_silenced_networks_estimate_nothing(kind, snn_file, rnn_file):
     config, tensors = load_network(rnn_file if kind is Recurrent else snn_file)
-    loud, silent = (
-        NetworkEstimator(kind(config, each), 200.0) for each in (tensors, silenced(config, tensors))
-    )
-    assert np.abs(loud.sequence(*samples(1, 80))).max() > 0.0
-    np.testing.assert_array_equal(silent.sequence(*samples(1, 80)), 0.0)
+    for each, loud in ((tensors, True), (silenced(config, tensors), False)):
+        assert NetworkEstimator(kind(config, each), 200.0).sequence(*samples(1, 80)).any() == loud
 
 
 @pytest.mark.parametrize("delay", [1, 2])

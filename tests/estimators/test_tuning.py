@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from filter_cases import COMPILED
 from own_estimator import MINE
 
 from estimators import create, parameters, run_batch
@@ -28,8 +29,6 @@ from estimators.tuning.search import (
 )
 from quadsim.flight.recipe import load_recipe
 from quadsim.vehicle import load_vehicle
-
-COMPILED = ["complementary", "complementary-adaptive", "mahony", "madgwick", "ekf", "eskf", "ekf-drag", "imm"]
 
 
 def bowl(x):
@@ -56,9 +55,8 @@ def test_swarm_starts_again_from_its_seed_and_reports_the_lowest_cost():
     again, once = (swarm(bowl, first, SearchSettings(particles=20, iterations=8, seed=5)) for _ in range(2))
     np.testing.assert_array_equal(again.position, once.position)
     other = SearchSettings(particles=20, iterations=8, seed=6)
-    assert not np.array_equal(
-        once.position, swarm(bowl, first, other, lambda *each: seen.append(each)).position
-    )
+    another = swarm(bowl, first, other, lambda *each: seen.append(each))
+    assert not np.array_equal(once.position, another.position)
     assert [(i, n) for i, n, _ in seen] == [(i + 1, 8) for i in range(8)]
     costs = [cost for _, _, cost in seen]
     assert costs == sorted(costs, reverse=True)
@@ -83,9 +81,8 @@ def test_cost_is_the_mean_squared_error_averaged_over_flights(flights):
     data.truth[0, ::2] = np.nan
     gains = {"k_p": np.array([0.1, 1.0, 3.0]), "k_i": np.array([0.0, 0.01, 0.1])}
     cost = mean_squared_error("mahony", gains, data)
-    error = np.radians(
-        absolute_error(run_batch("mahony", gains, data.gyro, data.accel), data.truth[None].repeat(3, 0))
-    )
+    estimate = run_batch("mahony", gains, data.gyro, data.accel)
+    error = np.radians(absolute_error(estimate, data.truth[None].repeat(3, 0)))
     np.testing.assert_allclose(cost, np.nanmean(error**2, axis=(2, 3)).mean(axis=1), rtol=1e-12)
 
 
@@ -106,12 +103,10 @@ def test_sets_are_scored_as_they_run(flights, name):
     """Samples are missing in every way; both starts."""
     data = load_flights([flights.isel(time=slice(400))], 2)
     data.gyro[0, 100:103], data.accel[0, 150], data.accel[1, 200:210] = np.nan, np.nan, 0.0
+    rng, constants = np.random.default_rng(0), airframe_constants(name, load_vehicle("hummingbird"))
     searched = {key: each for key, each in parameters(name).items() if each.searched}
-    rng = np.random.default_rng(0)
     sets = {key: each.at(rng.uniform(0.2, 0.8, 4)) for key, each in searched.items()}
-    sets |= {
-        key: np.full(4, value) for key, value in airframe_constants(name, load_vehicle("hummingbird")).items()
-    }
+    sets |= {key: np.full(4, value) for key, value in constants.items()}
     for start in (data, data.known()):
         cost = mean_squared_error(name, sets, start, workers=2)
         np.testing.assert_array_equal(cost, mean_squared_error(name, sets, start))
@@ -228,12 +223,13 @@ def test_shipped_parameters_are_the_defaults():
 
 
 def test_estimators_without_parameters_and_broken_datasets_are_named(flights):
-    with pytest.raises(ValueError, match="truth has no parameters to tune"):
-        tune("truth", [flights])
-    with pytest.raises(ValueError, match="the dataset has no quat"):
-        tune("mahony", [flights.drop_vars("quat")])
-    with pytest.raises(ValueError, match="must agree in length and sample rate"):
-        tune("mahony", [flights, flights.isel(time=slice(100))])
+    for name, datasets, message in (
+        ("truth", [flights], "truth has no parameters to tune"),
+        ("mahony", [flights.drop_vars("quat")], "the dataset has no quat"),
+        ("mahony", [flights, flights.isel(time=slice(100))], "must agree in length and sample rate"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            tune(name, datasets)
 
 
 OWN = f"""{MINE}
@@ -269,10 +265,7 @@ def test_parameters_whose_estimates_have_a_flaw_do_not_win(flights, own, method)
 @pytest.mark.parametrize(
     ("name", "text"),
     [
-        (
-            "Never",
-            "no parameters of own.py:Never give estimates that can be scored: it returned roll or",
-        ),
+        ("Never", "no parameters of own.py:Never give estimates that can be scored: it returned roll or"),
         ("Peeks", "own.py:Peeks receives the true attitude: there is nothing to tune"),
     ],
 )

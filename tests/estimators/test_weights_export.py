@@ -5,8 +5,8 @@ import importlib
 import numpy as np
 import pytest
 import torch
-from c_export import built
-from controllers import CONFIG, random_snn
+from c_export import SAMPLES, built, hard_readings
+from controllers import CONFIG, random_snn, samples
 from plain_network import forward
 
 from estimators.control.controller import SpikingController
@@ -16,28 +16,10 @@ from estimators.networks.forward import OnLoihi, real_weights
 from estimators.networks.gru import Recurrent
 from estimators.networks.layer_parameters import Weights
 from estimators.networks.network import NetworkEstimator
-from estimators.networks.weights_file import (
-    NetworkConfig,
-    load_network,
-    save_network,
-)
-from quadsim.dataset.generation import generate
-from quadsim.dataset.reading import open_dataset
-from quadsim.flight.recipe import load_recipe
-
-
-def readings(steps, seed=0):
-    """Hard ones: steps, saturation, missing samples, a rest."""
-    rng = np.random.default_rng(seed)
-    gyro = rng.normal(0, 1.5, (steps, 3)) + np.repeat(rng.normal(0, 2, (steps // 50 + 1, 3)), 50, 0)[:steps]
-    accel = rng.normal([0, 0, 9.81], 3.0, (steps, 3))
-    gyro[100:130, 1], accel[200, 0], accel[300:320], gyro[400], accel[500] = np.nan, np.inf, 0.0, 1e9, -1e9
-    gyro[1500:1700], accel[1500:1700] = (0.05, -0.02, 0.01), (0.4, -0.3, 9.8)
-    return gyro, accel
+from estimators.networks.weights_file import NetworkConfig, load_network, save_network
 
 
 def state_of(config):
-    """The layout of an exported network's state in memory."""
     neuron = [("u", np.int32), ("v", np.int32)]
     spikes = [("encoding_spikes", np.uint16), ("hidden_spikes", np.uint16)]
     fired = [("encoding_fired", np.uint16, config.encoding), ("hidden_fired", np.uint16, config.hidden)]
@@ -66,14 +48,12 @@ def compiled(tmp_path):
 
 
 def fired(state, layer, size):
-    """Which neurons of a layer spiked, as the emulator has it."""
     found = np.zeros(size, np.uint8)
     found[state[f"{layer}_fired"][: state[f"{layer}_spikes"]]] = 1
     return found
 
 
-def assert_states_equal(theirs, est, config, tensors, label):
-    """The C code's state is the emulator's."""
+def assert_states_equal(theirs, est, config, label):
     h0, h1, last = config.encoding, config.hidden, -config.n_outputs
     ours, spikes = est.states[0], est.core.spikes(est.states)[0]
     u, v = ours["u"], np.where(spikes, 0, ours["v"])
@@ -93,50 +73,44 @@ def assert_states_equal(theirs, est, config, tensors, label):
         np.testing.assert_array_equal(a, b, err_msg=f"{name} at {label}")
 
 
+def saved(path, config, seed=1):
+    """Random weights and their file."""
+    tensors = random_snn(config, seed)
+    save_network(path / "w.safetensors", config, tensors)
+    return tensors, path / "w.safetensors"
+
+
+ESTIMATOR = NetworkConfig(model="att-snn", encoding=37, hidden=23, output_scale=0.003)
+CONTROLLER = CONFIG.model_copy(update={"encoding": 41, "hidden": 35})
+
+
 @pytest.mark.parametrize(
-    "seed",
-    [None, 0, 1],
+    ("config", "seed"), [(None, 0), (ESTIMATOR, 0), (ESTIMATOR, 1), (CONTROLLER, 0), (CONTROLLER, 1)]
 )
-def test_c_source_equals_the_emulator_in_every_state_of_every_step(compiled, tmp_path, seed):
-    if seed is None:
-        config, tensors = load_network("att-snn-paper")
-        weights = "att-snn-paper"
+def test_c_source_equals_the_emulator_in_every_state_of_every_step(compiled, tmp_path, config, seed):
+    if config is None:
+        config, tensors = load_network(weights := "att-snn-paper")
     else:
-        config = NetworkConfig(model="att-snn", encoding=37, hidden=23, output_scale=0.003)
-        tensors, weights = random_snn(config, seed), tmp_path / "w.safetensors"
-        save_network(weights, config, tensors)
-    gyro, accel = readings(2000)
-    states = compiled(weights, config)(np.concatenate([gyro, accel], 1))
-    est = NetworkEstimator(OnLoihi(config, tensors), config.rate_hz)
-    for t, (theirs, attitude) in enumerate(states):
-        out = est.update(gyro[t : t + 1], accel[t : t + 1])
-        assert_states_equal(theirs, est, config, tensors, t)
-        np.testing.assert_array_equal(attitude, out[0], err_msg=f"outputs at {t}")
-    assert states["state"]["encoding_spikes"].mean() > 0.01 * config.encoding
-    assert states["state"]["hidden_spikes"].mean() > 0.01 * config.hidden
-
-
-@pytest.mark.parametrize("seed", [0, 1])
-def test_a_controllers_c_source_equals_the_emulator_in_every_state_of_every_step(compiled, tmp_path, seed):
-    config = CONFIG.model_copy(update={"encoding": 41, "hidden": 35})
-    tensors, weights = random_snn(config, seed), tmp_path / "w.safetensors"
-    save_network(weights, config, tensors)
-    rng = np.random.default_rng(seed)
-    gyro, accel = readings(2000)
-    wanted = rng.normal([0.0, 0.0, 0.0, 9.81], [0.5, 0.5, 2.0, 3.0], (2000, 4))
+        tensors, weights = saved(tmp_path, config, seed)
+    readings, rng = hard_readings(seed), np.random.default_rng(seed)
+    wanted = rng.normal([0.0, 0.0, 0.0, 9.81], [0.5, 0.5, 2.0, 3.0], (SAMPLES, 4))
     wanted[50:60, 0], wanted[70:80, 3], wanted[100, 2], wanted[120, 3] = np.nan, np.nan, 1e9, -np.inf
-    states = compiled(weights, config)(np.concatenate([wanted, gyro, accel], 1))
-    controller = SpikingController(config, tensors, on_loihi=True)
-    controller.reset(1)
-    for t, (theirs, action) in enumerate(states):
-        out = controller.sequence(*(each[None, t : t + 1] for each in (wanted, gyro, accel)))[0]
-        assert_states_equal(theirs, controller, config, tensors, t)
-        np.testing.assert_array_equal(action, out[0], err_msg=f"action at {t}")
-    assert states["state"]["hidden_spikes"].mean() > 0.01 * config.hidden
+    readings = np.hstack([wanted, readings]) if config.controls else readings
+    states = compiled(weights, config)(readings)
+    if config.controls:
+        ours = SpikingController(config, tensors, on_loihi=True)
+    else:
+        ours = NetworkEstimator(OnLoihi(config, tensors), config.rate_hz)
+    ours.reset(1)
+    for t, (theirs, outputs) in enumerate(states):
+        out = ours.sequence(*np.split(readings[None, t : t + 1], [4, 7] if config.controls else [3], axis=2))
+        assert_states_equal(theirs, ours, config, t)
+        np.testing.assert_array_equal(outputs, out[0, 0], err_msg=f"outputs at {t}")
+    for layer, size in (("encoding", config.encoding), ("hidden", config.hidden)):
+        assert states["state"][f"{layer}_spikes"].mean() > 0.01 * size
 
 
 def norse_network(graph):
-    """Norse as it comes, in float32."""
     norse = pytest.importorskip("norse.torch", reason="Norse is not installed")
     return norse.from_nir(graph, dt=float(graph.metadata["dt"])), lambda state: state.cache["06_hidden"]
 
@@ -157,41 +131,28 @@ def snntorch_network(graph):
     return reader.import_from_nir(graph), lambda state: state["06_hidden_prev_output"]
 
 
-@pytest.fixture(scope="module")
-def flown(tmp_path_factory):
-    """Readings of a simulated flight of 2 s, (1, 400, 3) twice."""
-    path = tmp_path_factory.mktemp("nir") / "flights.zarr"
-    flights = open_dataset(generate(load_recipe("hummingbird"), 1, 2.0, path, seed=8))
-    return flights.gyro.values.astype(float), flights.accel.values.astype(float)
-
-
-NAMES = ("att-snn-paper", "random")
-
-
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 @pytest.mark.parametrize(
     ("tool", "name"),
     [
-        *((norse_in_doubles, name) for name in NAMES),
+        *((norse_in_doubles, name) for name in ("att-snn-paper", "random")),
         *((snntorch_network, name) for name in ("att-snn-paper", "control-attitude")),
         (norse_network, "att-snn-paper"),
     ],
 )
-def test_a_nir_file_spikes_in_other_tools_as_the_network_in_floats(tmp_path, flown, tool, name):
+def test_a_nir_file_spikes_in_other_tools_as_the_network_in_floats(tmp_path, hummingbird, tool, name):
     """Chains deliver within a step there: hidden spikes come a step early, outputs two.
 
     In float32 Norse's gains leave a rounding error that decides where a potential is 1e-7 from the threshold,
     which this flight has once in `att-snn-paper`. Outputs agree to 1e-6 of the largest.
     """
     nir = pytest.importorskip("nir")
-    weights = name
-    if name == "random":
-        weights = tmp_path / "random.safetensors"
-        config = NetworkConfig(model="att-snn", encoding=40, hidden=30)
-        save_network(weights, config, random_snn(config, 1))
+    random = NetworkConfig(model="att-snn", encoding=40, hidden=30)
+    weights = saved(tmp_path, random)[1] if name == "random" else name
     config, tensors = load_network(weights)
     network, spikes_of = tool(nir.read(export_weights(weights, tmp_path / "snn.nir", "nir")))
-    x = torch.tensor(scaled_inputs(config.inputs, *flown))
+    flown = hummingbird.map(lambda each: each[:1, :400])
+    x = torch.tensor(scaled_inputs(config.inputs, flown.gyro, flown.accel))
     x = torch.cat([x, torch.zeros(*x.shape[:2], config.n_inputs - x.shape[2])], 2)
     outputs, _, hidden = forward(x, Weights(*map(torch.tensor, real_weights(config, tensors))))
     state, found, spikes = None, [], []
@@ -207,15 +168,13 @@ def test_a_nir_file_spikes_in_other_tools_as_the_network_in_floats(tmp_path, flo
 
 
 def node_of(graph, name):
-    """A node by its name without the number before it."""
     return next(node for key, node in graph.nodes.items() if key[3:] == name)
 
 
 @pytest.mark.parametrize("config", [CONFIG, NetworkConfig(model="att-snn", encoding=9, hidden=8)])
 def test_nir_graph_says_what_its_inputs_and_outputs_are(tmp_path, config):
     nir = pytest.importorskip("nir")
-    save_network(tmp_path / "w.safetensors", config, random_snn(config))
-    graph = nir.read(export_weights(tmp_path / "w.safetensors", tmp_path / "snn.nir", "nir"))
+    graph = nir.read(export_weights(saved(tmp_path, config)[1], tmp_path / "snn.nir", "nir"))
     np.testing.assert_array_equal(node_of(graph, "input").input_type["input"], [config.n_inputs])
     np.testing.assert_array_equal(node_of(graph, "finish").input_type["input"], [config.n_outputs])
     assert graph.metadata["outputs"] == config.outputs
@@ -246,21 +205,17 @@ def test_onnx_runtime_computes_the_network(tmp_path):
     runtime = pytest.importorskip("onnxruntime")
     session = runtime.InferenceSession(export_weights(name, tmp_path / "rnn.onnx", "onnx"))
     config, tensors = load_network(name)
-    rng = np.random.default_rng(0)
-    gyro, accel = rng.normal(0, 1, (2, 300, 3)), rng.normal([0, 0, 9.8], 1.0, (2, 300, 3))
+    readings = dict(zip(("gyro", "accel"), samples(2, 300, force=1.0), strict=True))
     est = NetworkEstimator(Recurrent(config, tensors), config.rate_hz)
     est.reset(2)
-    expected = est.outputs(gyro, accel)
+    expected = est.outputs(**readings)
     states = {f"h{k}": np.zeros((1, 2, 100), np.float32) for k in (0, 1)}
     parts = []
     for part in np.split(np.arange(300), [100, 101]):  # whole windows and a single sample alike
-        feed = {
-            key: each[:, part].transpose(1, 0, 2).astype(np.float32)
-            for key, each in (("gyro", gyro), ("accel", accel))
-        }
-        found, h0, h1 = session.run(None, feed | states)
-        states = {"h0": h0, "h1": h1}
-        parts.append(found.transpose(1, 0, 2))
+        feed = {key: each[:, part].swapaxes(0, 1).astype(np.float32) for key, each in readings.items()}
+        found, *hidden = session.run(None, feed | states)
+        states = dict(zip(states, hidden, strict=True))
+        parts.append(found.swapaxes(0, 1))
     # A reading within a rounding error of half a step of 1/1024 may be rounded the other way in float32.
     np.testing.assert_allclose(np.concatenate(parts, 1), expected, atol=2e-4)
 
@@ -285,12 +240,10 @@ def test_the_c_header_names_what_comes_in_and_the_scale_of_what_goes_out(tmp_pat
     header = (tmp_path / "c" / "att_snn.h").read_text()
     assert f"#define ATT_SNN_UNITS_PER_RADIAN {2**14}\n" in header
     config = NetworkConfig(model="att-snn", encoding=5, hidden=7, output_scale=1 / 256)
-    save_network(tmp_path / "w.safetensors", config, random_snn(config))
-    export_weights(tmp_path / "w.safetensors", tmp_path / "rp", "c99")
-    header = (tmp_path / "rp" / "att_snn.h").read_text()
-    assert f"#define ATT_SNN_UNITS_PER_RADIAN {256 * 2**14}\n" in header
-    assert "#define ATT_SNN_OUTPUTS 2\n" in header
-    save_network(tmp_path / "a.safetensors", CONFIG, random_snn(CONFIG))
-    header = (export_weights(tmp_path / "a.safetensors", tmp_path / "a", "c99") / "snn_control.h").read_text()
+    header = export_weights(saved(tmp_path, config)[1], tmp_path / "rp", "c99") / "att_snn.h"
+    assert f"#define ATT_SNN_UNITS_PER_RADIAN {256 * 2**14}\n" in header.read_text()
+    assert "#define ATT_SNN_OUTPUTS 2\n" in header.read_text()
+    header = export_weights(saved(tmp_path, CONFIG)[1], tmp_path / "a", "c99") / "snn_control.h"
+    header = header.read_text()
     assert "a gyroscope and an estimate of roll and pitch" in header
     assert "This network reads an attitude" in header

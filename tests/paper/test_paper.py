@@ -7,15 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from paper.page.claims import (
-    CLAIMS,
-    QUANTITIES,
-    interval,
-    judge,
-    operations,
-    ratio,
-    scatter,
-)
+from paper.page.claims import CLAIMS, QUANTITIES, interval, judge, operations, ratio, scatter
 from paper.page.paper_figures import FIGURES
 from paper.plan import CROSS, ITEMS, PRESETS, chosen, sizes_of, stages_of
 from paper.run import paper
@@ -48,9 +40,6 @@ TINY = sizes_of("quick") | dict(
     loop_seeds=1,
     loop_s=2.0,
 )
-
-
-# --- stages ---
 
 
 def note(folder, inputs, **settings):
@@ -106,9 +95,6 @@ def test_a_training_too_short_for_the_scatter_is_said_so():
     assert (found.verdict, found.measured) == ("not judged", "the measure needs trainings of 62 epochs")
 
 
-# --- what there is to make ---
-
-
 @pytest.mark.parametrize("preset", PRESETS)
 def test_every_stage_is_required_and_comes_after_its_inputs(preset):
     stages, shows = stages_of(sizes_of(preset))
@@ -144,14 +130,9 @@ def test_claims_and_figures_are_of_items():
     assert {each["quantity"] for each in CLAIMS["claim"]} == set(QUANTITIES)
 
 
-# --- what the paper says ---
-
-
 def test_operations_follow_the_papers_formulas():
     assert operations(100, 100) == {"snn": 20_200, "gru": 60_300}
 
-
-# --- claims, judged from made-up numbers ---
 
 FOUR = ("complementary", "mahony", "madgwick", "ekf")
 
@@ -269,9 +250,6 @@ def test_a_trainings_fingerprint_does_not_depend_on_the_pages_code():
     files = {path.relative_to(ROOT).as_posix() for path in closure([Path(trainings.__file__)], ROOT)}
     assert "training/epochs.py" in files
     assert not any(file.startswith(("paper/page/", "paper/plan", "scenarios/")) for file in files)
-
-
-# --- the whole ---
 
 
 @pytest.mark.slow

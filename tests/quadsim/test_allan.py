@@ -5,17 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from sensor import GRAVITY, RATE
-from typer.testing import CliRunner
 
-from quadsim.cli import app
 from quadsim.imu.spec import ImuSpec, load_imu
 from quadsim.imu.stream import simulate_imu
 from quadsim.logs.allan import allan_variance, calibrate, model_variance, write_imu
 from quadsim.logs.recording import Recording
-from quadsim.rotation import (
-    quat_from_euler,
-    quat_rotate_inverse,
-)
+from quadsim.rotation import quat_from_euler, quat_rotate_inverse
 
 
 def test_allan_variance_is_allantools():
@@ -51,7 +46,6 @@ def test_an_hour_at_rest_calibrates_the_sensor_that_recorded_it(tmp_path):
 
 
 def at_rest(seconds: float, seed: int = 1) -> tuple[Recording, ImuSpec]:
-    """A sensor at rest, tilted, and its model."""
     imu = load_imu("adis16448")
     steps = round(seconds * RATE)
     force = np.tile(quat_rotate_inverse(quat_from_euler(0.1, -0.2, 0.0), GRAVITY), (1, steps, 1))
@@ -103,12 +97,11 @@ def test_odd_stamps_at_rest_are_left_out_and_bad_logs_are_one_line():
         calibrate(replace(log, accel=log.accel / 9.81))
 
 
-def test_the_command_prints_the_bias_and_writes_an_imu(tmp_path):
+def test_the_command_prints_the_bias_and_writes_an_imu(tmp_path, printed):
     log, _ = at_rest(12.0)
     np.savez(tmp_path / "x.npz", t=log.time, gyro=log.gyro, acc=log.accel)
     out = tmp_path / "mine.toml"
-    command = ["identify", str(tmp_path / "x.npz"), "--still", "--out", str(out)]
-    done = CliRunner().invoke(app, command, catch_exceptions=False)
-    assert all(f"{value:+.5f}" in done.output for value in log.gyro.mean(axis=0))
+    found = printed("identify", "x.npz", "--still", "--out", out)
+    assert all(f"{value:+.5f}" in found for value in log.gyro.mean(axis=0))
     assert load_imu(out).gyro.turn_on == pytest.approx(np.sqrt((log.gyro.mean(axis=0) ** 2).mean()), rel=1e-4)
     assert out.with_suffix(".png").is_file()

@@ -9,7 +9,7 @@ from filelock import FileLock
 from typer.main import get_command
 
 from estimators.networks.weights_file import load_network
-from quadsim.cli import app, main
+from quadsim.cli import app
 from quadsim.cli.catalogue import HOW
 from quadsim.cli.options import pair_of
 from quadsim.runs.record import load_record
@@ -19,34 +19,6 @@ VERBS = [
     *("generate", "train", "tune", "evaluate", "fly", "bench", "report", "export"),
     *("identify", "demo", "paper", "list"),
 ]
-
-
-@pytest.fixture
-def quadsim(monkeypatch, capsys, tmp_path):
-    """Run the command line in an empty folder: (exit code, standard output, standard error)."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "200")
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["quadsim", *map(str, arguments)])
-        with pytest.raises(SystemExit) as stop:
-            main()
-        captured = capsys.readouterr()
-        return stop.value.code, captured.out, captured.err
-
-    return run
-
-
-@pytest.fixture
-def printed(quadsim):
-    """Run the command line, which has to succeed: standard output."""
-
-    def run(*arguments):
-        code, out, err = quadsim(*arguments)
-        assert code == 0, err
-        return out
-
-    return run
 
 
 @pytest.fixture
@@ -69,13 +41,11 @@ def dataset(printed, tmp_path):
         "train --preset control-attitude",
     ],
 )
-def test_a_folder_that_another_process_writes_is_left_alone(quadsim, tmp_path, command):
+def test_a_folder_that_another_process_writes_is_left_alone(printed, refused, tmp_path, command):
     if "--data" in command:
-        quadsim("generate", "--flights", 4, "--duration", 1, "--workers", 1, "--out", "flights.zarr")
+        printed("generate", "--flights", 4, "--duration", 1, "--workers", 1, "--out", "flights.zarr")
     with FileLock(tmp_path / ".busy.lock"):
-        code, _, err = quadsim(*command.split(), "--out", "busy")
-    assert code == 2
-    (line,) = err.strip().splitlines()
+        line = refused(*command.split(), "--out", "busy")
     assert line == "quadsim: busy is being written by another process: wait for it, or choose another"
     assert not (tmp_path / "busy").exists()
 
@@ -94,15 +64,9 @@ def test_every_verb_explains_itself_in_eighty_columns_and_closed_boxes(printed, 
 
 def test_everything_that_ships_can_be_listed_with_a_sentence(printed):
     for kind in HOW:
-        out = printed("list", kind)
-        rows = out.splitlines()[1:-1]
-        names = [row for row in rows if not row.startswith(" ")]
+        names = [row for row in printed("list", kind).splitlines()[1:-1] if not row.startswith(" ")]
         assert names
         assert all(len(row.split()) >= 3 for row in names), kind
-
-
-def test_every_verb_has_help_of_its_own():
-    assert {command.name or command.callback.__name__ for command in app.registered_commands} == set(VERBS)
 
 
 @pytest.mark.parametrize(
@@ -120,23 +84,18 @@ def test_every_verb_has_help_of_its_own():
         ("export missing.zarr --out x --format netcdf", "missing.zarr"),
         ("export missing.safetensors --out x --format c99", "missing.safetensors"),
         ("train --data missing.zarr --out run", "missing.zarr"),
-        ("train --data missing.zarr --out run --preset wurst", "wurst"),
         ("train --data missing.zarr --out run --set epochs", "name=value"),
         ("train --data missing.zarr --out run --set epoch=1", "valid: vectors, gates"),
         ("train --data missing.zarr --out run --set seed=3", "option of its own"),
         ("train --data missing.zarr --out run --set rate_targets=(0.1,0.1)", "lists are [1, 2]"),
         ("train --data missing.zarr --out run --set validation=3", "option of its own"),
-        ("train --data missing.zarr --out run --epochs 2", "--epochs is not for the circuit"),
         ("tune --estimator mahony --data missing.zarr --out x.toml", "missing.zarr"),
         ("tune --estimator mahony --data missing.zarr --out bad.toml", "bad.toml: not valid TOML"),
         ("evaluate --data missing.zarr", "missing.zarr"),
         ("evaluate --logs missing.csv --estimator missing.safetensors", "missing"),
         ("report notes.txt", "notes.txt"),
         ("evaluate --data notes.txt", "notes.txt"),
-        (
-            "generate --out x.zarr --set vehicle=bad.toml",
-            "bad.toml: not valid TOML: Invalid value (at line 1",
-        ),
+        ("generate --out x.zarr --set vehicle=bad.toml", "bad.toml: not valid TOML: Invalid value (at line"),
         ("identify nowhere.zarr", "nowhere.zarr"),
         ("identify nowhere.zarr --out mine.txt", "ends in .toml"),
         ("identify nowhere.zarr --vehicle hummingbrd", "hummingbird"),
@@ -161,35 +120,25 @@ def test_every_verb_has_help_of_its_own():
         ("bench --scenario hover --estimator att-snn --set rate=100 --seeds 1", "200 Hz"),
     ],
 )
-def test_a_mistake_is_one_clear_line_and_exit_code_2(quadsim, tmp_path, command, said):
+def test_a_mistake_is_one_clear_line_and_exit_code_2_and_leaves_nothing(refused, tmp_path, command, said):
     (tmp_path / "notes.txt").write_text("hello")
     (tmp_path / "bad.toml").write_text("mass = \n")
-    code, _, err = quadsim(*command.split())
-    assert code == 2
-    lines = [line for line in err.splitlines() if line.startswith("quadsim:")]
-    assert len(lines) == 1
-    assert said in lines[0]
-    assert "Traceback" not in err
+    assert said in refused(*command.split())
+    assert {each.name for each in tmp_path.iterdir()} <= {"notes.txt", "bad.toml", "reports"}
 
 
-def test_tuning_writes_the_whole_command_and_evaluation_reads_the_values(printed, quadsim, dataset, tmp_path):
+def test_tuning_writes_the_whole_command_and_evaluation_reads_the_values(printed, refused, dataset, tmp_path):
     options = ["--particles", 3, "--iterations", 2, "--flights", 1, "--initial", "known", "--seed", 5]
-    out = printed(
-        "tune", "--estimator", "madgwick", "--data", dataset, *options, "--out", tmp_path / "mine.toml"
-    )
-    assert "madgwick" in out
+    tune = ["tune", "--data", dataset, "--out", "mine.toml", "--estimator"]
+    assert "madgwick" in printed(*tune, "madgwick", *options)
     text = (tmp_path / "mine.toml").read_text()
     assert "--particles 3 --iterations 2 --flights 1 --initial known --seed 5" in text
-    assert quadsim("tune", "--estimator", "truth", "--data", dataset, "--out", "x.toml")[0] == 2
+    refused(*tune, "truth")
     given = ["--data", dataset, "--estimator", "madgwick", "--set", f"tuning={tmp_path / 'mine.toml'}"]
     out = printed("evaluate", *given, "--out", tmp_path / "scores")
     assert "the smallest error from an unknown start is madgwick's" in out
-    assert {each.name for each in (tmp_path / "scores").iterdir()} == {
-        "evaluation.csv",
-        "violins.png",
-        "convergence.png",
-        "report.html",
-    }
+    written = {"evaluation.csv", "violins.png", "convergence.png", "report.html"}
+    assert {each.name for each in (tmp_path / "scores").iterdir()} == written
 
 
 def test_a_dataset_is_described_verified_drawn_and_exported(printed, dataset, tmp_path):
@@ -208,18 +157,19 @@ def test_a_report_of_weights_shows_where_the_neurons_go(printed):
     assert f"{config.encoding + config.hidden + config.n_outputs} neurons on 7 of a chip's 128 cores" in out
 
 
-def test_a_report_of_weights_on_flights_has_spikes_energy_and_error(printed, quadsim):
-    quadsim("generate", "--flights", 1, "--duration", 2, "--workers", 1, "--out", "flights.zarr")
-    out = printed("report", "att-snn-paper", "--data", "flights.zarr")
+def test_a_report_of_weights_on_flights_has_spikes_energy_and_error(printed, refused, dataset):
+    out = printed("report", "att-snn-paper", "--data", dataset)
     for line in ("encoding layer", "synaptic event, a step", "modelled dynamic energy", "error"):
         assert line in out
     assert re.search(r"of a chip's 128 cores, error \d+\.\d\d°", out)
-    assert quadsim("report", "control-attitude", "--data", "flights.zarr")[0] == 2
+    refused("report", "control-attitude", "--data", dataset)
 
 
 def test_a_verb_has_at_most_eight_options_beside_the_common_ones():
     common = {"--out", "--seed", "--set", "--help"}
-    for verb, command in get_command(app).commands.items():
+    verbs = get_command(app).commands
+    assert verbs.keys() == set(VERBS)
+    for verb, command in verbs.items():
         options = {each.opts[0] for each in command.params if each.param_type_name == "option"} - common
         assert len(options) <= 8, verb
 
@@ -285,12 +235,9 @@ def test_ctrl_c_exits_as_interrupted_also_where_a_training_ends_in_order(quadsim
     assert "best.safetensors" in out
 
 
-def test_what_is_refused_before_any_work_leaves_one_line_and_no_bar_nor_folder(quadsim, tmp_path):
+def test_what_is_refused_before_any_work_shows_one_line_and_no_bar(quadsim):
     code, out, err = quadsim("train", "--model", "att-snn", "--data", "nowhere", "--out", "run")
-    assert (code, out) == (2, "")
-    assert err.strip().startswith("quadsim: nowhere")
-    assert len(err.strip().splitlines()) == 1
-    assert not (tmp_path / "run").exists()
+    assert (code, out, len(err.strip().splitlines())) == (2, "", 1)
 
 
 def test_a_fault_after_the_end_of_the_flight_is_warned_of(quadsim):
@@ -331,15 +278,12 @@ def topics_of(stream):
     ],
 )
 def test_a_missing_package_is_one_line_with_its_extra(
-    quadsim, dataset, tmp_path, monkeypatch, module, package, extra, command
+    refused, dataset, tmp_path, monkeypatch, module, package, extra, command
 ):
     for name in ("x.ulg", "x.mcap"):
         (tmp_path / name).touch()
     monkeypatch.delitem(sys.modules, "estimators.export.nir_graph", raising=False)
     monkeypatch.setitem(sys.modules, module, None)
-    code, _, err = quadsim(*command.split())
-    assert code == 2
-    assert err.strip().splitlines()[-1] == (
-        f'quadsim: this needs the package {package}: pip install "quadsim[{extra}]"'
-    )
+    line = refused(*command.split())
+    assert line == f'quadsim: this needs the package {package}: pip install "quadsim[{extra}]"'
     assert not (tmp_path / "x").exists()

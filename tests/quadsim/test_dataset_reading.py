@@ -74,9 +74,6 @@ def test_a_missing_file_is_found_on_opening(own, lost, said):
     assert "\n" not in str(caught.value)
 
 
-# --- verify ---
-
-
 def test_verify_names_the_damaged_flights(own):
     (own / "accel" / "c.1.0.0").unlink()
     os.truncate(own / "gyro" / "c.2.0.0", 100)
@@ -87,9 +84,6 @@ def test_verify_names_the_damaged_flights(own):
     changed = ", ".join(f"flight {flight}: a file changed since it was written" for flight in (2, 3))
     with pytest.raises(ValueError, match=f"damaged: flight 1: accel is missing, {changed}; copy"):
         verify(own)
-
-
-# --- summary ---
 
 
 def test_info_states_spread_over_all_samples(finished):
@@ -111,9 +105,6 @@ def test_tilt_of_a_known_attitude(tmp_path, monkeypatch):
     info = dataset_info(generate(CONFIG, 1, DURATION, tmp_path / "x.zarr", workers=1))
     assert info["max_tilt_deg"] == pytest.approx(40, abs=1e-3)
     assert info["roll_sd_deg"] == pytest.approx(0, abs=1e-3)
-
-
-# --- damage ---
 
 
 def flipped(file: Path, byte: int) -> None:

@@ -6,10 +6,10 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 import pytest
+from environments import ID, make
 from gymnasium.utils.env_checker import check_env
 
 import estimators
-import quadsim  # noqa: F401  registers the environment
 from quadsim.control.records import LEVELS
 from quadsim.env.single import QuadrotorEnv
 from quadsim.env.spaces import ACTION_SCALE, OBSERVATION_LIMIT
@@ -18,7 +18,6 @@ from quadsim.pictures.render import Scene
 from quadsim.trajectory.specs import Hover
 from quadsim.vehicle import load_vehicle
 
-ID = "quadsim/Quadrotor-v0"
 SHORT = Scenario(
     description="",
     duration_s=0.1,
@@ -28,25 +27,16 @@ SHORT = Scenario(
 TILTING = SHORT.model_copy(update={"start": Start(tilt_deg=60.0), "crash": Crash(tilt_deg=50.0)})
 
 
-def make(n, **arguments):
-    """The environment itself, or the batched one of n."""
-    return gymnasium.make(ID, **arguments).unwrapped if n == 1 else gymnasium.make_vec(ID, n, **arguments)
-
-
-def gymnasiums(env):
-    check_env(env, skip_render_check=True)
-
-
-def stable_baselines3s(env):
-    pytest.importorskip("stable_baselines3.common.env_checker").check_env(env)
-
-
 @pytest.mark.parametrize("level", LEVELS)
-@pytest.mark.parametrize("check", [gymnasiums, stable_baselines3s])
-def test_passes_the_checkers_of_others_at_every_action_level(check, level):
+@pytest.mark.parametrize(
+    ("library", "options"),
+    [("gymnasium.utils", {"skip_render_check": True}), ("stable_baselines3.common", {})],
+)
+def test_passes_the_checkers_of_others_at_every_action_level(library, options, level):
+    check = pytest.importorskip(f"{library}.env_checker").check_env
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        check(make(1, estimator="mahony", level=level))
+        check(make(1, estimator="mahony", level=level), **options)
 
 
 def test_passes_the_checker_with_pictures():
@@ -195,132 +185,6 @@ def test_a_seed_that_is_no_whole_number_is_refused(n, seed):
     env = make(n)
     with pytest.raises(ValueError, match="a whole number from 0 on"):
         env.reset(seed=seed)
-
-
-class Still:
-    """An estimator of a user's: level."""
-
-    def __init__(self, rate_hz):
-        self.rate_hz, self.n, self.updates = rate_hz, 0, 0
-
-    def reset(self, n=1, roll_pitch=None):
-        """Start."""
-        self.n = n
-
-    def update(self, gyro, accel):
-        """Take a sample."""
-        self.updates += 1
-        return np.zeros((self.n, 2))
-
-
-@pytest.mark.parametrize(
-    "given",
-    [
-        estimators.create("mahony"),
-        lambda rate_hz: estimators.create("mahony", rate_hz),
-        Still,
-        "test_env:Still",
-    ],
-    ids=["object", "function", "class", "own"],
-)
-def test_estimators_are_given_by_object_function_class_or_module_as_well(given):
-    seen = []
-    for each in (given, "mahony"):
-        env = make(1, estimator=each)
-        env.reset(seed=1)
-        seen.append(env.step(np.zeros(4))[0])
-    assert (seen[0][9:11] == 0).all() if "Still" in str(given) else (seen[0] == seen[1]).all()
-
-
-@pytest.mark.parametrize("name", ["mahony", "vqf", "att-snn-loihi"])
-def test_environments_given_one_object_fly_as_if_each_had_its_own(name):
-    shared = estimators.create(name, vehicle="hummingbird")
-    alone = [gymnasium.make(ID, estimator=name, scenario="step") for _ in range(2)]
-    together = [gymnasium.make(ID, estimator=shared, scenario="step") for _ in range(2)]
-    for k in range(2):
-        alone[k].reset(seed=k)
-        together[k].reset(seed=k)
-    for _ in range(40):
-        for one, other in zip(alone, together, strict=True):
-            assert (one.step(np.zeros(4, np.float32))[0] == other.step(np.zeros(4, np.float32))[0]).all()
-
-
-def test_an_estimator_that_cannot_be_copied_is_refused_in_words():
-    class Held(Still):
-        def __deepcopy__(self, memo):
-            raise TypeError("a handle of a device")
-
-    with pytest.raises(ValueError, match=r"Held cannot be copied.*give a function"):
-        gymnasium.make(ID, estimator=Held(200.0))
-
-
-def still(name, **methods):
-    """Such an estimator with other methods."""
-    made = type(name, (Still,), {"__module__": __name__, **methods})
-    globals()[name] = made  # as test_env:name
-    return made
-
-
-def failing(self, gyro, accel):
-    raise KeyError("gain")
-
-
-@pytest.mark.parametrize(
-    ("made", "said"),
-    [
-        (still("OtherArgument", reset=lambda self, n=1, attitude=None: None),
-         "unexpected keyword argument 'roll_pitch'"),
-        (still("Three", update=lambda self, gyro, accel: np.zeros((self.n, 3))),
-         r"float64 array of shape \(3, 3\); roll and pitch \[rad\], real numbers of shape \(3, 2\)"),
-        (still("NoRate", __init__=lambda self: None), "with one argument, rate_hz"),
-        (still("Failing", update=failing), "ends with KeyError: 'gain'"),
-    ],
-)  # fmt: skip
-def test_what_is_no_estimator_is_said_before_the_first_flight(made, said):
-    with pytest.raises(ValueError, match=f"{made.__name__}.*{said}"):
-        gymnasium.make(ID, estimator=made)
-    with pytest.raises(ValueError, match=f"test_env:{made.__name__}.*{said}"):
-        estimators.create(f"test_env:{made.__name__}")
-
-
-def later(change):
-    """An `update` that is level for three samples, and then changed."""
-
-    def update(self, gyro, accel):
-        found = Still.update(self, gyro, accel)
-        return found if self.updates < 4 else change(found)
-
-    return update
-
-
-def end(*_):
-    raise SystemExit(0)
-
-
-def reset_once(self, n=1, roll_pitch=None):
-    Still.reset(self, n)
-    if self.updates:
-        end()
-
-
-@pytest.mark.parametrize("n", [1, 2])
-@pytest.mark.parametrize(
-    ("made", "said"),
-    [
-        (still("Exits", update=later(end)), "update ends with SystemExit: 0"),
-        (still("Wrong", update=later(lambda found: found[:, :1])),
-         r"update returns a float64 array of shape \((1|2), 1\)"),
-        (still("Complex", update=later(lambda found: found + 0j)), "update returns a complex128 array"),
-        (still("ExitsAtReset", reset=reset_once), "reset ends with SystemExit: 0"),
-    ],
-)  # fmt: skip
-def test_what_an_estimator_does_in_flight_is_said_in_one_line(n, made, said):
-    env = make(n, estimator=made)
-    action = np.zeros(env.action_space.shape, np.float32)
-    with pytest.raises(ValueError, match=said):  # noqa: PT012  (any of them may be the one)
-        env.reset(seed=0)
-        for _ in range(6):
-            env.step(action)
 
 
 def test_copies_and_pickles_of_an_environment_are_refused_with_the_reason():

@@ -26,8 +26,6 @@ CONFIG = Recipe(vehicle=load_vehicle("hummingbird"), imu=IMU, warmup_s=0.0)
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three flights, of which the second ends early."""
-
     def ending_early(config, seeds, steps, rate_hz):
         log = simulate_flights(config, seeds, steps, rate_hz)
         log["end_step"][1], log["end_reason"][1] = ENDS[1], "hit the ground"
@@ -51,13 +49,12 @@ def test_netcdf_holds_the_whole_dataset(source, tmp_path):
 @pytest.mark.parametrize("format", ["csv", "parquet", "rosbag2"])
 @pytest.mark.parametrize("kind", ["without an IMU", "recorded"])
 def test_a_dataset_whose_imu_is_unknown_is_exported_without_its_noise(source, tmp_path, format, kind):
-    dataset, out = open_dataset(source), tmp_path / "out"
+    dataset, out, unknown = open_dataset(source), tmp_path / "out", ()
     config = json.loads(dataset.attrs["config"])
-    unknown = ("position", "gyro_bias") if kind == "recorded" else ()
+    del config["imu"]
     if kind == "recorded":
+        unknown = ("position", "gyro_bias")
         config = Recorded(logs=("a",), piece_s=1.0, unknown=unknown).model_dump(mode="json")
-    else:
-        del config["imu"]
     FORMATS[format](dataset.assign_attrs(config=json.dumps(config)), out, lambda *done: None)
     if format == "csv":
         mav = out / "flight_000" / "mav0"

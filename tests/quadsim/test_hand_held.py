@@ -19,9 +19,8 @@ def motion():
 
 
 def test_velocity_force_and_body_rate_are_those_of_one_motion(motion):
-    velocity, acceleration = (
-        np.gradient(motion[name], 1 / RATE, axis=1)[:, 1:-1] for name in ("position", "velocity")
-    )
+    slopes = (np.gradient(motion[name], 1 / RATE, axis=1)[:, 1:-1] for name in ("position", "velocity"))
+    velocity, acceleration = slopes
     np.testing.assert_allclose(velocity, motion["velocity"][:, 1:-1], atol=2e-4)
     np.testing.assert_allclose(world_acceleration(motion)[:, 1:-1], acceleration, atol=0.02)
     turn = quat_multiply(quat_conjugate(motion["quat"][:, :-1]), motion["quat"][:, 1:])
@@ -83,10 +82,7 @@ def test_a_motion_of_a_minute_peaks_at_four_times_its_root_mean_square(long_move
 
 def test_a_recipe_of_the_hand_has_no_rotors_and_one_seed_a_flight():
     config = load_recipe("hand-held")
-    both, one = (
-        simulate_flights(config, vehicle_seeds(0, 2), 400),
-        simulate_flights(config, vehicle_seeds(0, 2)[1:], 400),
-    )
+    both, one = (simulate_flights(config, vehicle_seeds(0, 2)[k:], 400) for k in (0, 1))
     np.testing.assert_array_equal(both["gyro"][1], one["gyro"][0])
     assert not np.any(both["rotor_vel"])
     assert list(both["end_step"]) == [400, 400]

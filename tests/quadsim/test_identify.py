@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from quadsim.cli import main
 from quadsim.cli.identification import identify as identify_verb
 from quadsim.dataset.export import export
 from quadsim.dataset.generation import generate
@@ -19,7 +18,6 @@ TRUE = load_vehicle("hummingbird")
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory):
-    """An aggressive and a fast flight."""
     folder = tmp_path_factory.mktemp("identify")
     config = load_recipe("hummingbird")
     fast = config.model_copy(update={"trajectory": load_recipe("cruise").trajectory})
@@ -97,25 +95,17 @@ def test_without_attitude_the_drag_is_not_fitted_and_without_speeds_nothing(flig
 
 
 def test_the_command_writes_a_vehicle_and_a_picture_and_leaves_out_logs_without_rotor_speeds(
-    data, tmp_path, monkeypatch, capsys
+    data, tmp_path, quadsim, refused
 ):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "160")
     export(data[0], "log", "csv")
-
-    def run(code, *arguments):
-        monkeypatch.setattr("sys.argv", ["quadsim", "identify", "--rate", "200", *map(str, arguments)])
-        with pytest.raises(SystemExit) as stop:
-            main()
-        assert stop.value.code == code
-        return "".join(capsys.readouterr())
-
     none = "no 5 s without a missing sample and with rotor speeds in rad/s"
-    assert f"quadsim: {none}" in run(2, "log/flight_000")
+    command = ["identify", "--rate", "200", "log/flight_000"]
+    assert refused(*command) == f"quadsim: {none}"
     assert not (tmp_path / "mine.toml").exists()
-    printed = run(0, "log/flight_000", *data)
-    assert f"log/flight_000: {none}, left out" in printed
-    assert "motor.k_f" in printed
+    code, *said = quadsim(*command, *data)
+    assert code == 0
+    assert f"log/flight_000: {none}, left out" in "".join(said)
+    assert "motor.k_f" in said[0]
     assert load_vehicle("mine.toml").motor.k_f == pytest.approx(TRUE.motor.k_f, rel=0.05)
     assert (tmp_path / "mine.png").is_file()
 

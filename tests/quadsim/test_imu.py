@@ -15,16 +15,10 @@ def with_bias(spec: ImuSpec, motion: dict[str, np.ndarray], rate_hz: float, seed
     return simulate_readings(spec, motion_of(spec, **motion), rate_hz, seed).values()
 
 
-def stream_through(stream: ImuStream, motion: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def stream_through(stream: ImuStream, motion: dict[str, np.ndarray]) -> np.ndarray:
     steps = motion["ang_vel"].shape[1]
-    readings = [
-        stream.sample(**{name: series[:, t] for name, series in motion.items()}) for t in range(steps)
-    ]
-    gyro, accel = zip(*readings, strict=True)
-    return np.stack(gyro, axis=1), np.stack(accel, axis=1)
-
-
-# --- the interface --------------------------------------------------------------------------------
+    samples = ({name: series[:, t] for name, series in motion.items()} for t in range(steps))
+    return np.stack([stream.sample(**each) for each in samples], axis=2)
 
 
 def test_perfect_imu_reads_the_truth():
@@ -96,33 +90,22 @@ def test_resets_are_reproducible_whatever_happened_before():
         assert np.array_equal(early.sample(ang_vel, force), late.sample(ang_vel, force))
 
 
-# --- noise and bias -------------------------------------------------------------------------------
-
-
 def allan_variance(sensor: Sensor, t: np.ndarray) -> np.ndarray:
-    """White noise and first-order Gauss-Markov bias."""
     tau = sensor.time_constant
     assert tau is not None
     markov = 1.0 - tau / (2.0 * t) * (3.0 - 4.0 * np.exp(-t / tau) + np.exp(-2.0 * t / tau))
     return sensor.noise**2 / t + sensor.random_walk**2 * tau**2 / t * markov
 
 
-def allan_ratios(name: str) -> dict[str, np.ndarray]:
-    """Measured over expected Allan deviation of both sensors at 0.2 s to 300 s."""
+@pytest.mark.parametrize("name", ["adis16448", "px4-mini"])
+def test_allan_deviation_matches_datasheet(name):
     rate_hz, taus = 10.0, np.array([0.2, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0])
     spec = only(load_imu(name), "noise", "random_walk", "turn_on")
     readings = simulate_imu(spec, **at_rest(12, 60_000), rate_hz=rate_hz, seed=11)
-    ratios = {}
-    for sensor, series in zip(("gyro", "accel"), readings, strict=True):
+    for sensor, series in zip((spec.gyro, spec.accel), readings, strict=True):
         channels = series.transpose(0, 2, 1).reshape(-1, series.shape[1])
         each = [allantools.oadev(channel, rate_hz, "freq", taus)[1] ** 2 for channel in channels]
-        ratios[sensor] = np.sqrt(np.mean(each, axis=0) / allan_variance(getattr(spec, sensor), taus))
-    return ratios
-
-
-@pytest.mark.parametrize("name", ["adis16448", "px4-mini"])
-def test_allan_deviation_matches_datasheet(name):
-    for ratio in allan_ratios(name).values():
+        ratio = np.sqrt(np.mean(each, axis=0) / allan_variance(sensor, taus))
         assert ratio[:4] == pytest.approx(np.ones(4), abs=0.02)
         assert ratio[4:] == pytest.approx(np.ones(3), abs=0.08)
 
@@ -157,9 +140,6 @@ def test_true_bias_is_what_the_reading_is_off_by_without_noise():
     gyro, accel, gyro_bias, accel_bias = with_bias(spec, at_rest(3, 200), RATE, 1)
     assert np.array_equal(gyro, gyro_bias)
     assert accel - [0.0, 0.0, 9.81] == pytest.approx(accel_bias, abs=1e-14)
-
-
-# --- bad input and extremes -----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["ang_vel", "specific_force", "ang_acc", "rotor_vel"])
@@ -222,13 +202,8 @@ def test_no_motion_gives_a_reading_out_of_range(size, rate_hz, low_pass_hz, seed
 def test_bad_imu_file_is_one_clear_line(tmp_path, text, message):
     path = tmp_path / "imu.toml"
     path.write_text(text)
-    with pytest.raises(ValueError, match=r"imu\.toml") as caught:
+    with pytest.raises(ValueError, match=rf"^.*imu\.toml.*{message}[^\n]*$"):
         load_imu(path)
-    assert message in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
-# --- presets --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", preset_names("imus"))

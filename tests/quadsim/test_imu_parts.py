@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from imu_errors import EVERYTHING, PARTS, RATE, at_rest, flight, only, without
 from scipy import signal
+from sensor import body_rate
 
 from quadsim.imu.spec import ImuSpec, RotorVibration, Sensor, load_imu
 from quadsim.imu.stream import BLOCK, simulate_imu
@@ -46,7 +47,8 @@ def test_lever_arm_agrees_with_the_motion_of_the_point():
     roll, pitch, yaw = 0.8 * np.sin(3.0 * t), 0.5 * np.cos(2.0 * t), 1.5 * t
     quat = quat_from_euler(roll, pitch, yaw)
     point = quat_rotate(quat, arm)
-    ang_vel = np.array([body_rate(roll, pitch, yaw, dt, k) for k in (2, 3, 4)])
+    rates = (np.gradient(each, dt) for each in (roll, pitch, yaw))
+    ang_vel = body_rate(roll, pitch, *rates)[2:5]
     ang_acc = (ang_vel[2] - ang_vel[0]) / (2.0 * dt)
     acceleration = (point[4] - 2.0 * point[3] + point[2]) / dt**2
     expected = quat_rotate_inverse(quat[3], acceleration)
@@ -55,13 +57,6 @@ def test_lever_arm_agrees_with_the_motion_of_the_point():
         spec, ang_vel[1][None, None], np.zeros((1, 1, 3)), RATE, seed=0, ang_acc=ang_acc[None, None]
     )
     assert accel[0, 0] == pytest.approx(expected, abs=1e-5)
-
-
-def body_rate(roll, pitch, yaw, dt, k):
-    """Body rate from the rates of intrinsic z-y'-x'' angles."""
-    dr, dp, dy = ((angle[k + 1] - angle[k - 1]) / (2.0 * dt) for angle in (roll, pitch, yaw))
-    sr, cr, sp, cp = np.sin(roll[k]), np.cos(roll[k]), np.sin(pitch[k]), np.cos(pitch[k])
-    return np.array([dr - dy * sp, dp * cr + dy * cp * sr, -dp * sr + dy * cp * cr])
 
 
 @pytest.mark.parametrize("order", [1, 2])

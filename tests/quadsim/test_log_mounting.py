@@ -1,15 +1,14 @@
 """How an IMU sits in the body: every way of writing it is the same rotation, and logs become the body's."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from reported import reported
 from scipy.spatial.transform import Rotation
-from sensor import GRAVITY, readings, turned, write_csv
-from typer.testing import CliRunner
+from sensor import GRAVITY, readings, reported, turned, write_csv
 
-from quadsim.cli import app
 from quadsim.logs import read_recording
 from quadsim.logs.mounting import MountEstimate, estimate_mount
 from quadsim.logs.recording import Recording, mount_matrix, mount_text, mounted
@@ -23,6 +22,7 @@ from quadsim.rotation import (
     quat_rotate,
 )
 
+EVALUATE = ("evaluate", "--estimator", "mahony", "--out", "out")
 EULER_DEG = (10.0, -20.0, 130.0)
 BODY_FROM_IMU = Rotation.from_euler("ZYX", EULER_DEG[::-1], degrees=True).as_matrix()
 
@@ -94,13 +94,9 @@ def tilting(seconds: float = 10.0) -> tuple[np.ndarray, ...]:
 @pytest.mark.parametrize("truth_axes", ["body", "imu"])
 def test_a_mount_rotates_the_attitude_only_where_it_is_the_imus(truth_axes):
     time, gyro, accel, quat = tilting()
-    recorded = quat
-    if truth_axes == "imu":
-        recorded = quat_multiply(quat, quat_from_matrix(BODY_FROM_IMU))
-    log = Recording(
-        "x", "x", time, gyro @ BODY_FROM_IMU, accel @ BODY_FROM_IMU, "x", time, recorded, truth_axes
-    )
-    log = mounted(log, BODY_FROM_IMU)
+    seen = quat_multiply(quat, quat_from_matrix(BODY_FROM_IMU)) if truth_axes == "imu" else quat
+    turned = gyro @ BODY_FROM_IMU, accel @ BODY_FROM_IMU
+    log = mounted(Recording("x", "x", time, *turned, "x", time, seen, truth_axes), BODY_FROM_IMU)
     np.testing.assert_allclose(log.gyro, gyro, atol=1e-12)
     np.testing.assert_allclose(matrix_from_quat(log.quat), matrix_from_quat(quat), atol=1e-12)
     np.testing.assert_allclose(quat_rotate(log.quat, log.accel), np.tile(GRAVITY, (len(time), 1)), atol=1e-9)
@@ -125,9 +121,6 @@ def test_a_column_map_whose_mount_is_no_rotation_is_one_line(tmp_path):
         read_recording(path)
 
 
-# --- estimates of a mounting ------------------------------------------------------------------------
-
-
 def recorded(make_flights, truth_axes="body", seed=0, noise=0.003, late_s=0.02):
     """A flight whose IMU is mounted at `EULER_DEG`, with a noisy, delayed truth of the body or of the IMU."""
     flight = make_flights(1, 20.0, seed=seed)
@@ -136,10 +129,8 @@ def recorded(make_flights, truth_axes="body", seed=0, noise=0.003, late_s=0.02):
     shake = quat_from_rotvec(np.random.default_rng(seed).normal(0.0, noise, gyro.shape))
     truth = quat_multiply(quat, shake)
     truth = quat_multiply(truth, quat_from_matrix(BODY_FROM_IMU)) if truth_axes == "imu" else truth
-    return Recording(
-        "x", "test", time, gyro @ BODY_FROM_IMU, accel @ BODY_FROM_IMU, "mocap", time + late_s, truth,
-        truth_axes,
-    )  # fmt: skip
+    turned = gyro @ BODY_FROM_IMU, accel @ BODY_FROM_IMU
+    return Recording("x", "test", time, *turned, "mocap", time + late_s, truth, truth_axes)
 
 
 def estimate(log: Recording, given: str | None = None) -> MountEstimate:
@@ -185,22 +176,18 @@ def test_a_log_that_turns_about_one_axis_alone_gives_no_mounting():
     log = Recording("x", "test", time, rate + noise, np.tile(GRAVITY, (4000, 1)), "mocap", time, quat)
     with pytest.raises(ValueError, match="the truth has to turn about two axes"):
         estimate(log)
-    still = Recording(
-        "x", "test", time, noise, np.tile(GRAVITY, (4000, 1)), "mocap", time, quat[:1] + 0 * quat
-    )
     with pytest.raises(ValueError, match="turn too little together"):
-        estimate(still)
+        estimate(replace(log, gyro=noise, quat=quat[:1] + 0 * quat))
 
 
 @pytest.mark.parametrize("truth_axes", ["body", "imu"])
 def test_the_command_that_a_tilted_log_names_prints_the_mount_that_mends_it(
-    tmp_path, make_flights, truth_axes
+    tmp_path, make_flights, truth_axes, printed
 ):
     path = write_csv(tmp_path, recorded(make_flights, truth_axes, late_s=0.0), f'truth_axes = "{truth_axes}"')
     odd = reported(path)[1].warnings
     assert any(f"quadsim report {path} --find-mount best" in line for line in odd)
-    printed = CliRunner().invoke(app, ["report", path, "--find-mount", "best"], catch_exceptions=False).output
-    mount = printed.split('--mount "')[1].split('"')[0]
+    mount = printed("report", path, "--find-mount", "best").split('--mount "')[1].split('"')[0]
     log, report = reported(path, mount=mount)
     assert report.warnings == []
     tilt = np.abs(log["accel"].to_numpy()[0].mean(axis=0)[:2])
@@ -208,29 +195,28 @@ def test_the_command_that_a_tilted_log_names_prints_the_mount_that_mends_it(
 
 
 @pytest.mark.parametrize("truth_axes", ["imu", "none"])
-def test_a_log_that_is_far_from_level_names_its_mount_and_the_command(tmp_path, make_flights, truth_axes):
+def test_a_log_that_is_far_from_level_names_its_mount_and_the_command(
+    tmp_path, make_flights, truth_axes, printed, refused
+):
     flight = recorded(make_flights, "imu", noise=0.0, late_s=0.0)
     upright = mounted(flight, mount_matrix("rpy 10 -20 130"))
     path = write_csv(tmp_path, mounted(upright, mount_matrix("rpy 0 -90 0")), 'truth_axes = "imu"')
     if truth_axes == "none":
         table = tmp_path / "x.toml"
         table.write_text("".join(x for x in table.read_text().splitlines(True) if not x.startswith("quat")))
-    command = ["evaluate", "--logs", path, "--estimator", "mahony", "--out", str(tmp_path / "out")]
-    with pytest.raises(ValueError, match=f"`quadsim report {path} --find-mount best` estimates") as error:
-        CliRunner().invoke(app, command, catch_exceptions=False)
-    mount = str(error.value).split('--mount "')[1].split('"')[0]
+    said = refused(*EVALUATE, "--logs", path)
+    assert f"`quadsim report {path} --find-mount best` estimates" in said
+    mount = said.split('--mount "')[1].split('"')[0]
     found = Rotation.from_matrix(mount_matrix(mount)) * Rotation.from_euler("y", -90, degrees=True)
     assert np.degrees(np.arccos(found.as_matrix()[2, 2])) < 5.0
-    done = CliRunner().invoke(app, [*command, "--mount", mount], catch_exceptions=False)
-    assert done.exit_code == 0
+    printed(*EVALUATE, "--logs", path, "--mount", mount)
 
 
-def test_evaluate_says_that_a_log_is_tilted_before_its_table(tmp_path, make_flights):
+def test_evaluate_says_that_a_log_is_tilted_before_its_table(tmp_path, make_flights, printed):
     path = write_csv(tmp_path, recorded(make_flights, "imu"), 'truth_axes = "imu"')
-    command = ["evaluate", "--logs", path, "--estimator", "mahony", "--out", str(tmp_path / "out")]
-    printed = CliRunner().invoke(app, command, catch_exceptions=False).output
-    assert f"`quadsim report {path} --find-mount best` estimates" in printed
-    assert printed.index("--find-mount") < printed.index("Inclination RMSE")
+    out = printed(*EVALUATE, "--logs", path)
+    assert f"`quadsim report {path} --find-mount best` estimates" in out
+    assert out.index("--find-mount") < out.index("Inclination RMSE")
 
 
 def test_a_heading_of_the_mounting_that_gravity_does_not_show_is_said(make_flights):

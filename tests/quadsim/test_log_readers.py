@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from reported import reported
+from sensor import reported
 
 from quadsim.dataset.reading import open_dataset
 from quadsim.logs import read_log, read_recording
@@ -50,14 +50,7 @@ EVENT = 10 + 4 * len(IMU + QUAT + RPM)
 """Bytes of an event."""
 
 
-@pytest.mark.parametrize(
-    ("cut", "flip", "rows"),
-    [
-        (100, 0, 398),
-        (0, 1, 400),
-        (0, 4 + 100 * EVENT, 300),
-    ],
-)
+@pytest.mark.parametrize(("cut", "flip", "rows"), [(100, 0, 398), (0, 1, 400), (0, 4 + 100 * EVENT, 300)])
 def test_a_damaged_usd_log_is_read_up_to_the_damage_which_is_named(tmp_path, cut, flip, rows):
     path = write_usd(tmp_path / "log00")
     data = bytearray(path.read_bytes())
@@ -71,21 +64,14 @@ def test_a_damaged_usd_log_is_read_up_to_the_damage_which_is_named(tmp_path, cut
     assert said in reported(path)[1].warnings
 
 
-@pytest.fixture(scope="module")
-def usd(tmp_path_factory):
-    """The bytes of a small log, and a path to write damaged ones to."""
-    path = write_usd(tmp_path_factory.mktemp("usd") / "log00", rows=12)
-    return path.read_bytes(), path
-
-
 CHANGES = st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 255)), max_size=8)
 
 
 @given(changes=CHANGES, cut=st.integers(0, 10**6), header=st.booleans())
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_any_damage_to_a_usd_log_is_read_or_one_line(usd, changes, cut, header):
-    whole, path = usd
-    data = bytearray(whole)
+def test_any_damage_to_a_usd_log_is_read_or_one_line(tmp_path, changes, cut, header):
+    path = write_usd(tmp_path / "log00", rows=12)
+    data = bytearray(path.read_bytes())
     for at, value in changes:
         data[at % (200 if header else len(data))] = value
     path.write_bytes(data[: 1 + cut % (2 * len(data))])

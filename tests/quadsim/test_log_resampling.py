@@ -123,9 +123,6 @@ def test_doublets_of_stamps_are_one_sample_each():
     consistent(dataset)
 
 
-# --- what a recorder does to its samples -------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("rate_hz", "jitter_ms"), [(200.0, 2.0), (1000.0, 2.0)])
 def test_jittering_stamps_are_no_gaps(rate_hz, jitter_ms):
     time, gyro, accel, _ = turning(rate_hz, 20.0)
@@ -144,11 +141,9 @@ def test_repeated_and_backward_stamps_are_left_out_and_rows_out_of_order_are_ref
     assert report_of(turned(time=repeated)).stamps_back == 10
     absent = np.where(np.arange(4000) % 100 == 0, np.nan, log.time)
     assert report_of(turned(time=absent)).missing == 40
+    mixed = np.random.default_rng(0).permutation(log.time)
     for stamps, said in (
-        (
-            np.random.default_rng(0).permutation(log.time),
-            r"\d+ % of the stamps go back: sort the rows by time",
-        ),
+        (mixed, r"\d+ % of the stamps go back: sort the rows by time"),
         (np.full(4000, np.nan), "0 usable samples; at least 8 are required"),
         (np.zeros(4000), "1 usable samples whose stamps go forward; at least 8 are required"),
     ):

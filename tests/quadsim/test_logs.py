@@ -2,12 +2,9 @@
 
 import numpy as np
 import pytest
-from reported import reported
-from sensor import consistent, turned, turning, write_csv
-from typer.testing import CliRunner
+from sensor import consistent, reported, turned, turning, write_csv
 from ulog_file import write_ulog
 
-from quadsim.cli import app
 from quadsim.dataset.export import export
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
@@ -17,18 +14,12 @@ from quadsim.logs import read_log, read_recording
 from quadsim.logs.convert import convert
 from quadsim.logs.recording import Recording, mount_matrix
 from quadsim.logs.resample import resample
-from quadsim.rotation import (
-    quat_from_euler,
-    roll_pitch_from_quat,
-    swap_enu_flu_ned_frd,
-    swap_flu_frd,
-)
+from quadsim.rotation import quat_from_euler, roll_pitch_from_quat, swap_enu_flu_ned_frd, swap_flu_frd
 from quadsim.vehicle import load_vehicle
 
 
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory):
-    """A flight of three seconds with a clean IMU, as a dataset."""
     config = Recipe(vehicle=load_vehicle("hummingbird"), imu=load_imu("perfect"), warmup_s=0.0)
     return generate(config, 1, 3.0, tmp_path_factory.mktemp("logs") / "x.zarr", seed=5, workers=1)
 
@@ -223,17 +214,15 @@ def test_converted_logs_are_a_dataset_without_their_gaps(tmp_path):
         convert([log], tmp_path / "y.zarr", piece_s=8.0)
 
 
-def test_commands_say_what_they_found(tmp_path):
+def test_commands_say_what_they_found(tmp_path, printed):
     time, gyro, accel, quat = turning(seconds=5.0)
     np.savez(tmp_path / "x.npz", t=time, gyro=gyro, acc=accel, quat=quat)
-    run = CliRunner().invoke
-    shown = run(app, ["report", str(tmp_path / "x.npz"), "--mount", "rpy 20 -5 0"])
-    assert "IMU's arrays" in shown.output
-    assert "OptiTrack" not in shown.output  # which only BROAD has
-    assert "nothing odd" in shown.output
-    to = ["--format", "zarr", "--out", str(tmp_path / "x.zarr")]
-    made = run(app, ["export", str(tmp_path / "x.npz"), *to, "--piece", "2"])
-    assert "2 pieces of 2 s, 80 % of 5 s" in made.output
+    shown = printed("report", "x.npz", "--mount", "rpy 20 -5 0")
+    assert "IMU's arrays" in shown
+    assert "OptiTrack" not in shown  # which only BROAD has
+    assert "nothing odd" in shown
+    made = printed("export", "x.npz", "--format", "zarr", "--out", "x.zarr", "--piece", 2)
+    assert "2 pieces of 2 s, 80 % of 5 s" in made
 
 
 def test_unknown_files_are_one_clear_line(tmp_path):

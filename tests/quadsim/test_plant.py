@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from quadsim.plant import Plant
-from quadsim.rotation import matrix_from_quat, quat_from_euler, quat_rotate_inverse
+from quadsim.rotation import matrix_from_quat, quat_from_euler, quat_rotate, quat_rotate_inverse
 from quadsim.vehicle import GRAVITY, load_vehicle, with_drag
 
 HUMMINGBIRD = load_vehicle("hummingbird")
@@ -75,7 +75,7 @@ def test_each_hub_drags_and_rolls_by_its_own_air_velocity():
 
 
 @pytest.mark.parametrize("rate_hz", [50, 200, 1000])
-def test_rotor_reaches_63_percent_after_one_time_constant_at_any_rate(rate_hz):
+def test_rotors_lag_exponentially_and_alike_at_any_rate(rate_hz):
     plant = Plant(HUMMINGBIRD, 2, rate_hz=rate_hz)
     motor = HUMMINGBIRD.motor
     low, high = 300.0, 600.0
@@ -86,10 +86,6 @@ def test_rotor_reaches_63_percent_after_one_time_constant_at_any_rate(rate_hz):
         t = k / rate_hz
         assert state.rotor_vel[0] == pytest.approx(high + (low - high) * np.exp(-t / motor.tau_up))
         assert state.rotor_vel[1] == pytest.approx(low + (high - low) * np.exp(-t / motor.tau_down))
-    exactly = Plant(HUMMINGBIRD, 1, rate_hz=1 / motor.tau_up)
-    exactly.reset(rotor_vel=low)
-    reached = exactly.step(np.full(4, high)).rotor_vel
-    assert (reached - low) / (high - low) == pytest.approx(np.full((1, 4), 1 - np.exp(-1)))
 
 
 @BATCHES
@@ -99,18 +95,6 @@ def test_without_drag_the_accelerometer_cannot_see_40_degrees_of_tilt(n):
     for _ in range(100):
         state = plant.step(hover(n, VACUUM))
     assert state.specific_force == pytest.approx(np.tile([0, 0, GRAVITY], (n, 1)), abs=1e-9)
-
-
-def test_with_drag_steady_tilt_shows_in_the_accelerometer():
-    """At the airspeed m g sinθ / (c Σω cosθ) of a steady tilt, body-x specific force is −g sinθ."""
-    tilt = np.radians(10)
-    vehicle = LINEAR
-    omega = vehicle.hover_rotor_vel * np.sqrt(np.cos(tilt))
-    airspeed = vehicle.mass * GRAVITY * np.sin(tilt) / (vehicle.motor.rotor_drag * 4 * omega * np.cos(tilt))
-    plant = Plant(vehicle, 1)
-    state = plant.reset(velocity=(airspeed, 0, 0), quat=quat_from_euler(0, tilt, 0), rotor_vel=omega)
-    assert state.specific_force[0, 0] == pytest.approx(-GRAVITY * np.sin(tilt), rel=1e-9)
-    assert airspeed == pytest.approx(8.54, abs=0.005)
 
 
 def test_wind_is_the_same_as_flying_the_other_way():
@@ -137,16 +121,12 @@ def test_tumbling_in_vacuum_conserves_angular_momentum_and_energy(n):
 
     def momentum_and_energy(state):
         spin = np.asarray(VACUUM.inertia) * state.ang_vel
-        return np.einsum("nij,nj->ni", matrix_from_quat(state.quat), spin), np.sum(
-            spin * state.ang_vel, axis=-1
-        )
+        return np.column_stack([quat_rotate(state.quat, spin), np.sum(spin * state.ang_vel, axis=-1)])
 
     before = momentum_and_energy(plant.state())
     for _ in range(1000):
         state = plant.step(np.zeros((n, 4)))
-    after = momentum_and_energy(state)
-    assert after[0] == pytest.approx(before[0], rel=1e-6, abs=1e-8)
-    assert after[1] == pytest.approx(before[1], rel=1e-6)
+    assert momentum_and_energy(state) == pytest.approx(before, rel=1e-6, abs=1e-8)
 
 
 @pytest.mark.parametrize(
@@ -172,16 +152,13 @@ def test_specific_force_and_angular_acceleration_belong_to_the_same_instant():
     plant.reset(velocity=(4, 1, 0), ang_vel=(2, -1, 1), quat=quat_from_euler(0.4, -0.3, 1.0))
     command = hover(1) + rng.uniform(-20, 20, (1, 4))
     states = [plant.state()] + [plant.step(command) for _ in range(200)]
-    world = np.array([matrix_from_quat(s.quat)[0] @ s.specific_force[0] for s in states]) - [0, 0, GRAVITY]
-    velocity = np.array([s.velocity[0] for s in states])
-    change = np.diff(velocity, axis=0) * 1000
+    world = np.array([quat_rotate(s.quat, s.specific_force)[0] for s in states]) - [0, 0, GRAVITY]
+    change = np.diff([s.velocity[0] for s in states], axis=0) * 1000
     assert change == pytest.approx((world[1:] + world[:-1]) / 2, abs=2e-3)
     assert np.abs(change - world[1:]).max() > 5e-3  # one sample late would show
-    rate = np.array([s.ang_vel[0] for s in states])
     turn = np.array([s.ang_acc[0] for s in states])
-    assert np.diff(rate, axis=0) * 1000 == pytest.approx(
-        (turn[1:] + turn[:-1]) / 2, abs=2e-2 * np.abs(turn).max()
-    )
+    change = np.diff([s.ang_vel[0] for s in states], axis=0) * 1000
+    assert change == pytest.approx((turn[1:] + turn[:-1]) / 2, abs=2e-2 * np.abs(turn).max())
 
 
 def test_60_degree_manoeuvre_agrees_with_an_independent_integrator():

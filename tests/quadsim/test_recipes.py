@@ -16,9 +16,8 @@ RATE = 200.0
 
 
 def simulate(recipe, n, duration_s, **changes):
-    return simulate_flights(
-        changed(load_recipe(recipe), changes), vehicle_seeds(0, n), round(duration_s * RATE)
-    )
+    config = changed(load_recipe(recipe), changes)
+    return simulate_flights(config, vehicle_seeds(0, n), round(duration_s * RATE))
 
 
 WIDE = ["wide", "cruise"]
@@ -71,9 +70,8 @@ def test_flights_of_recipes_are_complete_of_wide_ones_on_every_vehicle(recipe, c
 @pytest.mark.parametrize("recipe", WIDE)
 def test_wide_recipes_draw_drags_and_masses_of_many_airframes(recipe):
     spread, rng = load_recipe(recipe).randomisation, np.random.default_rng(0)
-    drawn = [
-        randomise(load_vehicle(name), spread, rng) for name in preset_names("vehicles") for _ in range(200)
-    ]
+    vehicles = map(load_vehicle, preset_names("vehicles"))
+    drawn = [randomise(vehicle, spread, rng) for vehicle in vehicles for _ in range(200)]
     drag = [1.0 / vehicle.drag_time_constant for vehicle in drawn]
     mass = [vehicle.mass for vehicle in drawn]
     assert 0.05 < min(drag) < 0.1

@@ -29,7 +29,6 @@ def _opengl():
 
 
 def still(position, quat, view, trail=None, width=320, height=180):
-    """One picture of a quadrotor."""
     scene = Scene(VEHICLE, width, height)
     image = scene.draw(position, quat, view, trail)
     scene.close()
@@ -37,7 +36,6 @@ def still(position, quat, view, trail=None, width=320, height=180):
 
 
 def orange(image):
-    """Pixels in the colour of the front arm."""
     red, green, blue = np.moveaxis(image.astype(int), -1, 0)
     return (red > 120) & (red > 2 * green - 20) & (red > 2 * blue)
 
@@ -114,11 +112,10 @@ def test_the_ghost_has_the_estimated_attitude_and_lets_the_vehicle_through():
     scene = Scene(VEHICLE, 160, 90, ghost=True)
     scene.draw((0, 0, 1), np.stack([LEVEL, estimate]), VIEW)
     np.testing.assert_allclose(scene.data.body("quadrotor1").xquat, estimate, atol=1e-12)
-    own = [
-        scene.model.geom_rgba[scene.model.geom_bodyid == scene.model.body(f"quadrotor{k}").id] for k in (0, 1)
-    ]
-    assert (own[1][:, 3] < 0.5).all()
-    assert not (own[0][:, 3] == own[1][0, 3]).any()
+    bodies = [scene.model.body(f"quadrotor{k}").id for k in (0, 1)]
+    own, ghost = (scene.model.geom_rgba[scene.model.geom_bodyid == body, 3] for body in bodies)
+    assert (ghost < 0.5).all()
+    assert not (own == ghost[0]).any()
     scene.close()
 
 

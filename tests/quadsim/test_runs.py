@@ -113,11 +113,7 @@ def test_tuned_parameters_are_read_back_whatever_the_text_beside_them(comment, c
     assert parse(read_toml(text, "x"), Tuning, "x").root == {"mahony": tuned}
 
 
-# --- surroundings -----------------------------------------------------------------------------------
-
-
 def run(code: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Run code, or a script."""
     return subprocess.run(
         [sys.executable, code] if isinstance(code, Path) else [sys.executable, "-c", code],
         env={**os.environ, **environment},

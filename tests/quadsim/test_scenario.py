@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from missions import HOVER, flown
+from missions import HOVER, flown, with_faults
 
 import estimators
 from estimators.metrics import inclination_error
@@ -15,7 +15,7 @@ from quadsim.control.records import MEASURED
 from quadsim.external import ExternalSensor, ExternalSpec, deliver
 from quadsim.flight.loop import FlightLoop
 from quadsim.flight.mission import Mission
-from quadsim.flight.scenario import Crash, Scenario, Start, load_scenario, scenario_names
+from quadsim.flight.scenario import Crash, Scenario, Start, changed, load_scenario, scenario_names
 from quadsim.flight.world import CAUSES, GROUNDED, OUT_OF_BOUNDS, TILTED
 from quadsim.rotation import roll_pitch_from_quat
 from quadsim.seeding import vehicle_seeds
@@ -23,9 +23,6 @@ from quadsim.trajectory.specs import Hover
 from quadsim.vehicle import load_vehicle, with_drag
 
 FAULT = "[[faults]]\nkind = "
-
-
-# --- files ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", scenario_names())
@@ -80,13 +77,8 @@ def test_any_content_is_a_scenario_or_one_clear_line(content):
     assert re.fullmatch("mine.toml: .+", message)
 
 
-# --- missions -------------------------------------------------------------------------------------
-
-
 def test_a_flight_in_wind_does_not_notice_a_crash_beside_it():
-    windy = Scenario.model_validate(
-        HOVER.model_dump() | {"duration_s": 1.5, "wind": [{"kind": "constant", "velocity": (6, 3, 0)}]}
-    )
+    windy = changed(HOVER, {"duration_s": 1.5, "wind": [{"kind": "constant", "velocity": (6, 3, 0)}]})
     falling, holding = [0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 9.81]
     positions = []
     for seeds, command in ((slice(0, 2), [falling, holding]), (slice(1, 2), [holding])):
@@ -125,8 +117,7 @@ def test_an_attitude_is_given_wrongly_by_the_angle_that_is_asked_for():
     mission = Mission(HOVER.model_copy(update={"start": start}), Listener(), 50)
     mission.begin(vehicle_seeds(0, 50))
     truth = mission.plant.roll_pitch
-    error = inclination_error(given["roll_pitch"][:, None], truth[:, None])[:, 0]
-    np.testing.assert_allclose(error, 4.0, atol=1e-6)
+    np.testing.assert_allclose(inclination_error(given["roll_pitch"], truth), 4.0, atol=1e-6)
     off = given["roll_pitch"] - truth
     assert np.abs(off.mean(axis=0)).max() < np.radians(2.0)  # about an axis of each flight's own
 
@@ -172,16 +163,13 @@ def test_a_restarted_flight_has_its_rotors_and_its_mass_again():
         {"kind": "low-battery", "effect": 0.5, "at_s": 0.0, "fade_s": 0.1},
         {"kind": "payload-drop", "mass": 0.2, "at_s": 9.0},
     ]
-    mission = flown(Scenario(**HOVER.model_dump() | {"faults": faults}), 2)
+    mission = flown(with_faults(*faults), 2)
     plant = mission.plant
     assert np.all(plant.rotor_effect < 1.0)
     mission.restart(np.array([1]), vehicle_seeds(9, 1))
     assert np.all(plant.rotor_effect[0] < 1.0)
     assert np.all(plant.rotor_effect[1] == 1.0)
     np.testing.assert_allclose(plant.vehicles["mass"] - mission.vehicle.mass, [0.2, 0.0], atol=1e-12)
-
-
-# --- the external sensor --------------------------------------------------------------------------
 
 
 def held(spec: ExternalSpec, samples: int, n: int = 2, restart: int = -1) -> np.ndarray:

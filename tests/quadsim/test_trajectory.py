@@ -56,18 +56,15 @@ def test_eights_sweep_twice_across_for_once_along_and_keep_to_the_largest_tilt()
 
 
 def test_cruises_hold_a_constant_velocity_between_two_ramps():
-    spec = Mix(
-        cruise_share=1.0, circle_share=0.0, pause_share=0.0, cruise_s=(3.0, 3.0), cruise_speed=(4.0, 6.0)
-    )
-    path = fly(spec, seconds=60, n=4)
+    shares = {"cruise_share": 1.0, "circle_share": 0.0, "pause_share": 0.0}
+    path = fly(Mix(**shares, cruise_s=(3.0, 3.0), cruise_speed=(4.0, 6.0)), seconds=60, n=4)
     speed = np.linalg.norm(path["velocity"], axis=-1)
     steady = np.linalg.norm(path["acceleration"], axis=-1) < 1e-9
     assert np.all((speed[steady] < 1e-9) | ((speed[steady] > 3.99) & (speed[steady] < 6.01)))
     assert 0.3 < np.mean(steady & (speed > 1.0)) < 0.9
     assert tilt_deg(path).max() <= 45
-    assert (
-        np.linalg.norm(path["position"][..., :2], axis=-1).max() < 15 + 6 * 6 + 1
-    )  # beyond 15 m they lead back
+    away = np.linalg.norm(path["position"][..., :2], axis=-1)
+    assert away.max() < 15 + 6 * 6 + 1  # beyond 15 m they lead back
 
 
 def test_minimum_snap_passes_the_waypoints_and_rests_at_both_ends():

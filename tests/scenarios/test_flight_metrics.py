@@ -6,19 +6,13 @@ from flown import crash, table
 
 from quadsim.vehicle import load_vehicle
 from scenarios.bench.flight_log import log_dtype
-from scenarios.bench.flight_metrics import (
-    convergence_time,
-    error_histogram,
-    flight_metrics,
-    recovery_time,
-)
+from scenarios.bench.flight_metrics import convergence_time, error_histogram, flight_metrics, recovery_time
 from scenarios.bench.results import summarise, wilson
 
 HUMMINGBIRD = load_vehicle("hummingbird")
 
 
 def steady_log(n=2, steps=400):
-    """A log of level flight on the set-point with a perfect estimate."""
     log = np.zeros((n, steps), log_dtype(4))
     log["rotor_vel"] = HUMMINGBIRD.hover_rotor_vel
     return log, np.full(n, steps)

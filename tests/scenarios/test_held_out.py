@@ -1,14 +1,12 @@
 """The held-out suite: drawn, not looked at, and out of reach of what learns."""
 
 import re
-import sys
 from importlib.resources import files
 
 import numpy as np
 import pytest
 
 from estimators.tuning.search import SearchSettings, tune
-from quadsim.cli import main
 from quadsim.dataset.generation import generate
 from quadsim.flight.recipe import load_recipe
 from quadsim.held_out import SEEDS, load_held_out, releases, unreserved
@@ -64,13 +62,11 @@ def test_a_reserved_seed_is_refused_and_its_neighbours_are_not():
 
 
 @pytest.mark.parametrize("command", LEARNING, ids=lambda command: command[0])
-def test_no_verb_that_learns_takes_a_reserved_seed(monkeypatch, capsys, command):
+def test_no_verb_that_learns_takes_a_reserved_seed(quadsim, monkeypatch, command):
     monkeypatch.setenv("COLUMNS", "400")
-    monkeypatch.setattr(sys, "argv", ["quadsim", *command, "--seed", str(NEWEST.seed + 7)])
-    with pytest.raises(SystemExit) as stop:
-        main()
-    assert stop.value.code == 2
-    assert "is of the held-out suite" in capsys.readouterr().err
+    code, _, err = quadsim(*command, "--seed", NEWEST.seed + 7)
+    assert code == 2
+    assert "is of the held-out suite" in err
 
 
 def test_nothing_that_learns_takes_a_reserved_seed_from_python(tmp_path):

@@ -35,9 +35,8 @@ def scored():
     logs = [log("calm & <quiet>"), log("biased", math.radians(3.0))]
     scores = score_logs(logs, ["mahony", "eskf", "complementary"], within_deg=90.0)
     zero, probability = np.zeros((1, 1, 2)), np.array([[[0.25, 0.75]]])
-    scores.logs["calm & <quiet>"].beliefs["imm"] = Beliefs(
-        ("drag", "hand"), np.array([1000]), zero, zero + 1.0, probability
-    )
+    believed = Beliefs(("drag", "hand"), np.array([1000]), zero, zero + 1.0, probability)
+    scores.logs["calm & <quiet>"].beliefs["imm"] = believed
     return logs, scores
 
 
@@ -146,9 +145,6 @@ def test_long_logs_are_decimated(tmp_path):
     page = write_log_report(tmp_path / "r.html", score_logs(logs, ["complementary"]))
     assert "every 2th sample is drawn" not in page.read_text()
     assert "one sample of 2 is drawn" in page.read_text()
-
-
-# --- in a browser ---------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module", params=[(1280, 900), (390, 844)], ids=["desktop", "phone"])

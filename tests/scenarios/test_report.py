@@ -7,15 +7,12 @@ from itertools import product
 import numpy as np
 import pytest
 from accessibility import findings
-from flown import crash, flight
-from unpacked import unpack_series
+from flown import WINDY, crash, flight, unpack_series
 
 import estimators
 from estimators.appearance import look
-from quadsim.flight.faults import GyroBiasStep
 from quadsim.flight.mission import Mission
 from quadsim.flight.scenario import Scenario
-from quadsim.wind import Constant
 from scenarios.bench.cell import Cell, FlightSettings, make_cell
 from scenarios.bench.flight_log import SHARED, fly
 from scenarios.bench.results import Results
@@ -31,11 +28,7 @@ OFFLINE = [
 @pytest.fixture(scope="module")
 def results():
     """Two scenarios, three estimators: one flies, one crashes half the time, one did not run."""
-    step = GyroBiasStep(kind="gyro-bias-step", bias_deg=(3.0, 0.0, 0.0), at_s=1.0)
-    wind = Constant(kind="constant", velocity=(3.0, 0.0, 0.0))
-    scenario = Scenario(
-        description="Hold a place & <stay> there.", duration_s=2.0, wind=(wind,), faults=(step,)
-    )
+    scenario = WINDY.model_copy(update={"description": "Hold a place & <stay> there."})
     mission = Mission(scenario, estimators.create("eskf"), 2)
     flown = fly(mission, 0)
     cells = []
@@ -56,9 +49,6 @@ def report(results, tmp_path_factory):
     path = tmp_path_factory.mktemp("report") / "report.html"
     offline = OfflineSection(OFFLINE, headline="On recorded flights mahony is best.")
     return write_report(path, results, offline, files=["results.csv"], focus="ekf")
-
-
-# --- the file -------------------------------------------------------------------------------------
 
 
 def test_report_fetches_nothing_and_text_of_users_is_escaped(report):
@@ -89,9 +79,6 @@ def test_signals_are_left_out_where_there_is_no_room(results, monkeypatch):
 def test_report_of_nothing_is_refused(tmp_path):
     with pytest.raises(ValueError, match="nothing to report"):
         write_report(tmp_path / "r.html")
-
-
-# --- in a browser ---------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -127,9 +114,7 @@ def painted(page, selector):
 
 
 def test_everything_is_there(page):
-    for part in (
-        "verdict", "map", "series", "replay", "spread", "table", "offline", "method"
-    ):  # fmt: skip
+    for part in ("verdict", "map", "series", "replay", "spread", "table", "offline", "method"):
         assert page.locator(f"#{part}").is_visible()
     assert page.locator("#verdict h2").inner_text().startswith("In calm and storm fly mahony (no crash in 4")
     assert page.locator(".heat td[data-scenario]").count() == 8
@@ -277,7 +262,6 @@ HOSTILE = (
 
 
 def test_names_of_users_run_nothing(browser, results, tmp_path):
-    """Hostile names in every field that a user can fill."""
     cells, names = [], list(HOSTILE)
     for scenario in HOSTILE[:3]:
         for name in names:
@@ -289,15 +273,8 @@ def test_names_of_users_run_nothing(browser, results, tmp_path):
     scenarios = dict.fromkeys(HOSTILE[:3], described)
     hostile = Results(scenarios, names, FlightSettings(2), cells)
     recorded = [{"estimator": name, "note": name, "start": name, "mean_deg": 1.0} for name in names]
-    path = write_report(
-        tmp_path / "report.html",
-        hostile,
-        OfflineSection(recorded, HOSTILE[0]),
-        title=HOSTILE[4],
-        files=[HOSTILE[2]],
-        focus=names[0],
-        footer=HOSTILE[4],
-    )
+    texts = {"title": HOSTILE[4], "files": [HOSTILE[2]], "focus": names[0], "footer": HOSTILE[4]}
+    path = write_report(tmp_path / "report.html", hostile, OfflineSection(recorded, HOSTILE[0]), **texts)
     page = browser.new_page()
     hurt, noise = [], []
     page.expose_function("hurt", lambda: hurt.append(True))

@@ -33,7 +33,6 @@ def flight(request):
 
 @pytest.fixture
 def hovering(monkeypatch):
-    """Paths and winds replaced by hover in still air."""
     from rotorpy.trajectories.hover_traj import HoverTraj
     from rotorpy.wind.default_winds import NoWind
 

@@ -1,4 +1,3 @@
-import csv
 import json
 from importlib.resources import files
 from io import StringIO
@@ -22,8 +21,6 @@ from scenarios.bench.verdict import verdict
 from scenarios.report.terminal import standings_table
 from scenarios.single_flight import fly_scenario
 
-# --- a flight -------------------------------------------------------------------------------------
-
 
 def test_log_holds_what_the_loop_did():
     mission = Mission(Scenario(description="", duration_s=0.2), estimators.create("madgwick"), 2)
@@ -42,9 +39,6 @@ def test_true_attitude_follows_the_command_better_than_a_poor_estimate():
     cells = [fly_cell("x", scenario, name, FlightSettings(4)) for name in ("truth", "complementary")]
     good, poor = (np.mean([flight["attitude_deg"] for flight in cell.flights]) for cell in cells)
     assert good < 0.9 * poor
-
-
-# --- the benchmark --------------------------------------------------------------------------------
 
 
 def test_results_do_not_depend_on_the_workers(tmp_path):
@@ -149,12 +143,9 @@ def test_the_standings_have_ranks_means_and_the_worst_scenario(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"scenarios": ["hoover"]}, 'unknown scenario "hoover"; did you mean "hover"'),
-        ({"names": ["mahoney"]}, 'unknown estimator "mahoney"; did you mean "mahony"'),
         ({"names": []}, "at least one estimator"),
         ({"scenarios": []}, "at least one scenario"),
         ({"seeds": 0}, "seeds is 0"),
-        ({"external": "vicon"}, 'unknown external "vicon"'),
         ({"duration_s": -1.0}, "duration_s = -1.0: should be 0.001 to 3600 s"),
         ({"vehicle": "px5-quad"}, 'unknown vehicle "px5-quad"; did you mean "px4-quad"'),
     ],
@@ -182,11 +173,9 @@ def test_any_flight_of_a_benchmark_can_be_looked_at(tmp_path):
     benchmark = small(tmp_path / "bench", names=["mahony"], scenarios=["hover"], seeds=3)
     alone = fly_scenario("hover", "mahony", tmp_path, changes={"duration_s": SHORT}, flight=2)
     assert alone.results.cells[0].flights[0] | {"seed": 2} == benchmark.cells[0].flights[2]
-    with alone.samples.open() as file:
-        rows = list(csv.DictReader(file))
-    assert len(rows) == 60
-    assert float(rows[-1]["t"]) == pytest.approx(59 / 200)
-    assert float(rows[-1]["z"]) == pytest.approx(2.0, abs=0.02)
+    rows = pd.read_csv(alone.samples)
+    assert rows["t"].to_numpy() == pytest.approx(np.arange(60) / 200)
+    assert rows["z"].iloc[-1] == pytest.approx(2.0, abs=0.02)
     assert "mahony" in alone.report.read_text()
     assert alone.video is None
 
@@ -209,9 +198,8 @@ def test_another_vehicle_is_flown_with_its_own_tuning_and_a_mismatch_is_warned_o
 
 def test_paths_in_a_scenario_count_from_its_file(tmp_path, monkeypatch):
     (tmp_path / "airframes").mkdir()
-    (tmp_path / "airframes" / "mine.toml").write_text(
-        (files("assets") / "vehicles" / "px4-quad.toml").read_text()
-    )
+    own = (files("assets") / "vehicles" / "px4-quad.toml").read_text()
+    (tmp_path / "airframes" / "mine.toml").write_text(own)
     (tmp_path / "wind.csv").write_text("t,x,y,z\n0,1,0,0\n9,1,0,0\n")
     (tmp_path / "own.toml").write_text(
         "description = 'own'\nvehicle = 'airframes/mine.toml'\n[[wind]]\nkind = 'file'\npath = 'wind.csv'\n"

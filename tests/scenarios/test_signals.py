@@ -2,21 +2,18 @@
 
 import numpy as np
 import pytest
-from unpacked import unpack_series
+from flown import WINDY, unpack_series
 
 import estimators
-from quadsim.flight.faults import GyroBiasStep, Stuck, fault_spans
+from quadsim.flight.faults import Stuck, fault_spans
 from quadsim.flight.mission import Mission
 from quadsim.flight.scenario import Scenario
 from quadsim.flight.vehicle_faults import PayloadDrop
 from quadsim.rotation import euler_from_quat, quat_from_euler, quat_normalize
-from quadsim.wind import Constant
 from scenarios.bench.cell import CELL, fly, make_cell
 from scenarios.bench.flight_series import SIGNAL_LEVELS
 
-STEP = GyroBiasStep(kind="gyro-bias-step", bias_deg=(3.0, -2.0, 0.0), at_s=1.0)
-WIND = Constant(kind="constant", velocity=(3.0, 1.0, 0.0))
-WINDY = Scenario(description="", duration_s=2.0, wind=(WIND,), faults=(STEP,))
+((WIND,), (STEP,)) = WINDY.wind, WINDY.faults
 
 
 def flown(estimator, scenario=WINDY):

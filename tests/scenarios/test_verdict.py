@@ -16,19 +16,15 @@ def order(results):
     return [standing.estimator for standing in verdict(results).standings]
 
 
-# --- who is better --------------------------------------------------------------------------------
-
-
 def test_survival_ranks_first_then_the_time_to_the_crash_then_the_error():
-    results = benchmark(
-        {
-            "early": {"a": [crash(1.0), 9.0]},
-            "late": {"a": [crash(15.0), 9.5]},
-            "never": {"a": [8.0, 8.0]},
-            "better": {"a": [7.0, 8.0]},
-            "always": {"a": [crash(19.0), crash(19.0)]},
-        }
-    )
+    flown = {
+        "early": [crash(1.0), 9.0],
+        "late": [crash(15.0), 9.5],
+        "never": [8.0, 8.0],
+        "better": [7.0, 8.0],
+        "always": [crash(19.0), crash(19.0)],
+    }
+    results = benchmark({name: {"a": each} for name, each in flown.items()})
     assert order(results) == ["better", "never", "late", "early", "always"]
 
 
@@ -48,9 +44,8 @@ def test_a_flight_that_did_not_run_counts_as_lost():
     found = verdict(results)
     assert found.headline == "In a and b fly x (no crash in 4 flights, error 3.00°)."
     assert found.standings[1].texts["note"] == "did not run in 1 scenario: no weights"
-
-
-# --- the headline ---------------------------------------------------------------------------------
+    none = verdict(benchmark({"x": {"a": "no weights"}, "y": {"a": [crash(5.0)] * 2}})).standings
+    assert [(each.estimator, each.texts["rank"]) for each in none] == [("y", "1"), ("x", "–")]
 
 
 def test_where_nobody_survives_no_estimator_is_recommended_there():
@@ -127,9 +122,6 @@ def test_the_headline_says_what_to_fly(outcomes, headline):
     assert verdict(benchmark(outcomes)).headline == headline
 
 
-# --- what is never ranked -------------------------------------------------------------------------
-
-
 def test_what_receives_the_truth_is_a_reference_whatever_its_name():
     results = benchmark(
         {"est.py:Peek": {"a": [0.0, 0.0]}, "mahony": {"a": [1.0, 1.1]}, "vqf": {"a": [2.0, 2.1]}},
@@ -145,12 +137,17 @@ def test_what_receives_the_truth_is_a_reference_whatever_its_name():
     )
 
 
-def test_an_estimator_that_repeats_another_is_not_ranked_beside_it():
+def test_an_estimator_that_repeats_another_or_flies_exactly_as_it_is_not_ranked_beside_it():
     both = {"ekf-filterpy": {"a": [1.0, 1.1]}, "ekf": {"a": [1.0, 1.1]}, "vqf": {"a": [2.0, 2.1]}}
     results = benchmark(both)
     assert results.unranked == {"ekf-filterpy": "repeats ekf"}
     assert verdict(results).headline.startswith("In a fly ekf (")
     assert benchmark({name: own for name, own in both.items() if name != "ekf"}).unranked == {}
+    found = verdict(benchmark({"a": {"s": [1.0, 2.0]}, "b": {"s": [1.0, 2.0]}, "c": {"s": [1.0, 2.5]}}))
+    assert [each.estimator for each in found.standings] == ["a", "c", "b"]
+    assert found.standings[-1].texts["note"] == "not ranked: it flew exactly as a"
+    failed = benchmark({name: {"s": [1.0, 2.0], "t": why} for name, why in (("a", "x"), ("b", "y"))})
+    assert failed.unranked == {}  # they failed for other reasons
 
 
 def test_controllers_are_ranked_by_tracking_and_none_on_the_truth_is_a_candidate():
@@ -176,15 +173,6 @@ def test_of_a_controller_alone_the_tracking_error_counts():
     assert order(both)[0] == "y @ c"  # two estimators are compared as such
 
 
-# --- one alone, none at all -----------------------------------------------------------------------
-
-
-def test_estimators_that_did_not_run_come_last():
-    found = verdict(benchmark({"x": {"a": "no weights"}, "y": {"a": [crash(5.0)] * 2}}))
-    assert [(each.estimator, each.texts["rank"]) for each in found.standings] == [("y", "1"), ("x", "–")]
-    assert found.standings[1].texts["note"] == "did not run in 1 scenario: no weights"
-
-
 def test_where_no_estimator_is_fit_each_has_its_reason_and_there_is_advice():
     """A constant, one that does not run, and the truth: nothing is left to recommend."""
     why = "returned the same roll and pitch at every sample"
@@ -195,9 +183,6 @@ def test_where_no_estimator_is_fit_each_has_its_reason_and_there_is_advice():
     found = verdict(results)
     assert found.headline == f"No estimator is fit: broken did not run (no weights); level {why}."
     assert "--estimator eskf" in found.lines[0]
-
-
-# --- the lines below ------------------------------------------------------------------------------
 
 
 def test_every_verdict_says_on_what_condition_it_holds_and_what_to_fly_elsewhere():
@@ -225,24 +210,16 @@ def test_the_table_has_the_worst_scenario_and_the_paired_difference_from_the_bes
             "z": {"a": [crash(5.0)] * 2, "b": [1.0] * 2},
         }
     )
-    x, y, z = verdict(results).standings
-    assert (x.texts["error minus that of rank 1 [°]"], y.texts["error minus that of rank 1 [°]"]) == (
-        "–",
-        "+0.50 ± 0.00",
-    )
-    assert (x.texts["at worst"], y.texts["at worst"]) == ("b, 4.05°", "b, 3.05°")
-    assert (z.texts["crashed"], z.texts["at worst"]) == (
-        "2 of 4 (15–85 %)",
-        "a, 2 of 2 crashed, not measured",
-    )
+    x, y, z = (each.texts for each in verdict(results).standings)
+    assert [each["error minus that of rank 1 [°]"] for each in (x, y)] == ["–", "+0.50 ± 0.00"]
+    assert [each["at worst"] for each in (x, y)] == ["b, 4.05°", "b, 3.05°"]
+    assert (z["crashed"], z["at worst"]) == ("2 of 4 (15–85 %)", "a, 2 of 2 crashed, not measured")
 
 
 def test_console_and_report_have_the_tracking_error_beside_that_of_the_estimate():
     judged = verdict(benchmark({"x": {"a": [1.0, 2.0]}, "y": {"a": [crash(5.0), 3.0]}}))
-    assert [(s.texts["error [°]"], s.texts["attitude tracking [°]"]) for s in judged.standings] == [
-        ("1.50", "3.00"),
-        ("3.00", "6.00"),
-    ]
+    shown = [(each.texts["error [°]"], each.texts["attitude tracking [°]"]) for each in judged.standings]
+    assert shown == [("1.50", "3.00"), ("3.00", "6.00")]
     columns = {str(c.header): [str(cell) for cell in c.cells] for c in standings_table(judged).columns}
     texts = {key: [each.texts[key] for each in judged.standings] for key in judged.standings[0].texts}
     assert not any(texts.pop("note"))  # without a word, it has no column
@@ -276,12 +253,3 @@ def test_every_page_of_results_states_the_one_recommendation():
     for page in ("README.md", "docs/results.md"):
         text = " ".join((root / page).read_text("utf-8").split())
         assert recommendation().sentence in text, page
-
-
-def test_an_estimator_that_flies_exactly_as_another_is_not_ranked_beside_it():
-    results = benchmark({"a": {"s": [1.0, 2.0]}, "b": {"s": [1.0, 2.0]}, "c": {"s": [1.0, 2.5]}})
-    found = verdict(results)
-    assert [each.estimator for each in found.standings] == ["a", "c", "b"]
-    assert found.standings[-1].texts["note"] == "not ranked: it flew exactly as a"
-    failed = benchmark({name: {"s": [1.0, 2.0], "t": why} for name, why in (("a", "x"), ("b", "y"))})
-    assert failed.unranked == {}  # they failed for other reasons

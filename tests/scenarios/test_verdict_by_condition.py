@@ -13,7 +13,6 @@ DRAG = list(AXES.axes["drag"])
 
 
 def designed(outcomes, experiment=AXES, **options):
-    """Results with a scenario for each level of drag."""
     first = {axis: next(iter(levels)) for axis, levels in AXES.axes.items()} | {"scenario": "hover"}
     levels = {f"axes-{k}": first | {"drag": level} for k, level in enumerate(DRAG)}
     flown = {name: dict(zip(levels, own, strict=True)) for name, own in outcomes.items()}
@@ -46,14 +45,11 @@ def test_the_headline_has_a_clause_for_each_condition():
 def test_the_headline_names_what_is_recommended_on_every_condition_with_its_crashes():
     good, close, poor = [1.0, 1.1, 1.0, 1.1], [1.1, 1.0, 1.1, 1.0], [3.0, 3.1, 3.0, 3.1]
     one_lost = [1.0, crash(5.0), 1.0, 1.1]
-    found = verdict(
-        designed(
-            {"drag": [one_lost, poor, poor, poor], "imm": [one_lost, good, good, good], "vqf": [poor] * 4}
-        )
-    )
+    drag, imm = [one_lost, poor, poor, poor], [one_lost, good, good, good]
+    found = verdict(designed({"drag": drag, "imm": imm, "vqf": [poor] * 4}))
     assert found.lines[0].startswith("With the airframe's drag known: fly vqf (no crash")
     assert "fly vqf where the airframe's drag is known, imm where it is half" in found.headline
-    found = verdict(designed({"drag": [one_lost, close, poor, poor], "imm": [one_lost, good, good, good]}))
+    found = verdict(designed({"drag": [one_lost, close, poor, poor], "imm": imm}))
     assert found.lines[0].startswith("With the airframe's drag known: fly drag or imm (crashed in 1 of 4")
     assert found.headline == (
         "On these 4 combinations fly imm, whether the airframe's drag is known or not (crashed in 1 of 16 "

@@ -1,4 +1,4 @@
-"""The C source of an exported network, compiled and run."""
+"""The C source of an exported network, compiled and run on readings that are hard to follow."""
 
 import shutil
 import subprocess
@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 DRIVER = Path(__file__).parents[1] / "data" / "loihi" / "driver.c"
+SAMPLES = 2000
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2"]
 
 
@@ -24,3 +25,16 @@ def built(source, name, layout, *flags):
         return np.frombuffer(done.stdout, layout)
 
     return run
+
+
+def hard_readings(seed):
+    """Turns up to 40 rad/s and forces up to 150 m/s², rest, and readings that no IMU gives, (T, 6)."""
+    rng = np.random.default_rng(seed)
+    size = np.repeat(rng.uniform(0, 1, (SAMPLES // 50, 2)) ** 3, 50, axis=0)
+    gyro = rng.uniform(-40, 40, (SAMPLES, 3)) * size[:, :1]
+    accel = [0, 0, 9.81] + rng.uniform(-150, 150, (SAMPLES, 3)) * size[:, 1:]
+    gyro[300:600], accel[300:600] = (0.05, -0.02, 0.01), (0.4, -0.3, 9.8)
+    gyro[700:900], accel[700:900] = 40.0, -150.0
+    gyro[100:130, 1], accel[200, 0], accel[300:320], gyro[400], accel[500] = np.nan, np.inf, 0.0, 1e30, -1e30
+    gyro[650], accel[650] = 5e-324, (0.0, -0.0, 1e-300)
+    return np.concatenate([gyro, accel], 1)

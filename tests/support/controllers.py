@@ -1,4 +1,4 @@
-"""A small spiking controller and other networks with random weights, and signals for it."""
+"""A small spiking controller, networks with random weights, and signals for them."""
 
 import numpy as np
 
@@ -14,17 +14,6 @@ CONFIG = NetworkConfig(
     output_scale=20.0,
     set_point=SetPointScaling(bound=30.0),
 )
-
-
-def random_tensors(config=CONFIG, seed=0):
-    """Weights on the chip's grid, large enough that every layer spikes."""
-    rng = np.random.default_rng(seed)
-    tensors = {}
-    for name, shape in expected_shapes(config).items():
-        low, high = (-60, 60) if name.startswith("w_") else (100, 3000)
-        drawn = rng.integers(low, high, shape)
-        tensors[name] = (2 * drawn if name.startswith("w_") else drawn).astype(np.int16)
-    return tensors
 
 
 def random_snn(config, seed=0):

@@ -5,8 +5,6 @@ import numpy as np
 from estimators import create, run
 from estimators.filters.drag.imm import InteractingModels
 from estimators.metrics import inclination_error
-from quadsim.dataset.generation import generate
-from quadsim.dataset.reading import open_dataset
 from quadsim.flight.recipe import load_recipe
 from quadsim.flight.scenario import changed
 
@@ -27,15 +25,9 @@ VARIED = changed(
 
 
 def imm(**params):
-    """The estimator at 200 Hz."""
     est = create("imm", RATE, **params)
     assert isinstance(est, InteractingModels)
     return est
-
-
-def generated(folder, config, count, seconds, seed):
-    """A generated dataset."""
-    return open_dataset(generate(config, count, seconds, folder / "flights.zarr", seed=seed, workers=1))
 
 
 def rmse(est, gyro, accel, truth, after=10.0, **sensors):

@@ -15,7 +15,7 @@ EVERYTHING = load_imu("px4-mini").model_copy(
     }
 )
 PARTS = (set(ImuSpec.model_fields) | set(Sensor.model_fields)) - {
-    *("gyro", "accel", "time_constant", "low_pass_order"),
+    *("gyro", "accel", "time_constant", "low_pass_order")
 }
 """Parts of the error that can be switched off, by the name of their field."""
 

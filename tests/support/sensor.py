@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from quadsim.logs import read_log
 from quadsim.logs.recording import Recording
 from quadsim.logs.resample import resample
 from quadsim.rotation import (
@@ -18,19 +19,23 @@ GRAVITY = np.array([0.0, 0.0, 9.81])
 RATE = 200.0
 
 
-def readings(time, roll, pitch, yaw):
-    """Body rate, specific force and attitude of a body with these Euler angles over time."""
-    roll, pitch, yaw = (each + np.zeros(time.size) for each in (roll, pitch, yaw))
-    d_roll, d_pitch, d_yaw = (np.gradient(each, time, edge_order=2) for each in (roll, pitch, yaw))
-    gyro = np.stack(
+def body_rate(roll, pitch, d_roll, d_pitch, d_yaw):
+    """Body rate of intrinsic z-y'-x'' angles and their rates of change."""
+    return np.stack(
         [
             d_roll - d_yaw * np.sin(pitch),
             d_pitch * np.cos(roll) + d_yaw * np.cos(pitch) * np.sin(roll),
             -d_pitch * np.sin(roll) + d_yaw * np.cos(pitch) * np.cos(roll),
         ],
-        axis=1,
+        axis=-1,
     )
-    quat = quat_from_euler(roll, pitch, yaw)
+
+
+def readings(time, roll, pitch, yaw):
+    """Body rate, specific force and attitude of a body with these Euler angles over time."""
+    angles = [each + np.zeros(time.size) for each in (roll, pitch, yaw)]
+    gyro = body_rate(*angles[:2], *(np.gradient(each, time, edge_order=2) for each in angles))
+    quat = quat_from_euler(*angles)
     return gyro, quat_rotate_inverse(quat, GRAVITY), quat
 
 
@@ -49,7 +54,6 @@ def turned(seconds=20.0, **changed) -> Recording:
 
 
 def blind(log: Recording) -> Recording:
-    """The recording without a truth."""
     return replace(log, truth="none", truth_time=None, quat=None)
 
 
@@ -68,8 +72,13 @@ quat = {{columns = ["a", "b", "c", "d"]}}
 
 
 def report_of(log: Recording):
-    """What is found in a recording."""
     return resample(log)[1]
+
+
+def reported(path, **choices):
+    """The dataset of a log, and what reading it found."""
+    log = read_log(path, **choices)
+    return log, log.attrs["log"]
 
 
 def consistent(log) -> None:

@@ -54,17 +54,10 @@ READS = """self.rate_hz = rate_hz
         for file in glob("{folder}/out/data/home.zarr/quat/c*"):
             with open(file, "rb") as answers:
                 answers.read()"""
+OBSERVES = "    def observe(self, quat):\n        pass\n"
 BAD = [
-    (
-        "Sees",
-        ("    def update", "    def observe(self, quat):\n        pass\n\n    def update"),
-        "received the true attitude",
-    ),
-    (
-        "Global",
-        ("self.angle", "Global.angle"),
-        "instances share no state",
-    ),
+    ("Sees", ("    def update", f"{OBSERVES}\n    def update"), "received the true attitude"),
+    ("Global", ("self.angle", "Global.angle"), "instances share no state"),
     ("Reads", ("self.rate_hz = rate_hz", READS), "which holds the task's data"),
     (
         "Nan",

@@ -1,4 +1,4 @@
-"""The circuit's gradient is the derivative of its loss, and a run that was stopped ends as if it was not."""
+"""The circuit's gradient, its streams and IMUs, and a run that was stopped ends as if it was not."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,10 @@ from estimators.circuit.file import load_circuit
 from estimators.circuit.parameters import FAST, LEARNT, untrained
 from quadsim.dataset import generate
 from quadsim.flight.recipe import load_recipe
+from quadsim.imu.spec import ImuSpec, Sensor
+from training.augment import measured, turned_and_mirrored
 from training.circuit.gradient import loss_and_gradient
+from training.circuit.imus import draw_imu
 from training.circuit.start import QUICK, as_flown, settling_s
 from training.circuit.streams import StreamBatch, bias_of, draw_streams, held, interrupt, sway
 from training.config import CircuitTraining, make_config
@@ -36,9 +39,8 @@ def test_the_gradient_is_the_slope_of_the_loss_along_any_direction(name):
     value = getattr(p, name)
     direction = rng.standard_normal(value.shape)
     size = 2e-3 if name != "gate" else 1e-3
-    sides = [
-        loss_and_gradient(p._replace(**{name: value + k * size * direction}), *batch())[0] for k in (1, -1)
-    ]
+    moved = (p._replace(**{name: value + k * size * direction}) for k in (1, -1))
+    sides = [loss_and_gradient(each, *batch())[0] for each in moved]
     expected = (getattr(slope, name) * direction).sum()
     assert abs(expected) > 1e-6
     assert (sides[0] - sides[1]) / (2 * size) == pytest.approx(expected, rel=0.05)
@@ -70,8 +72,7 @@ def test_a_stopped_run_ends_as_one_that_was_not(tmp_path, data):
     assert (stopped.reason, stopped.best.updates, stopped.best.validation) == (INTERRUPTED, 500, {})
     assert load_circuit(stopped.weights).config.training["updates"] == 500
     parts = train(out=tmp_path / "parts", **choices)
-    for ours, theirs in zip(load_circuit(whole.weights)[1], load_circuit(parts.weights)[1], strict=True):
-        np.testing.assert_array_equal(ours, theirs)
+    np.testing.assert_equal([*load_circuit(parts.weights)[1]], [*load_circuit(whole.weights)[1]])
     assert whole.best.validation == parts.best.validation
     assert {each.name for each in (tmp_path / "parts").iterdir()} >= {"log.csv", "curve.png", "config.json"}
     with pytest.raises(ValueError, match="holds a run with another configuration"):
@@ -171,3 +172,84 @@ def test_lost_readings_are_the_last_good_ones():
     found = held(readings)[0]
     assert found[0].tolist() == [0, 0, 0]
     assert found[3].tolist() == found[4].tolist() == [6, 7, 8]
+
+
+def test_symmetry_keeps_kinematics_and_gravity(dataset):
+    flights = load_training_flights([dataset])
+    rng = np.random.default_rng(0)
+    rate, force, up = (getattr(flights, k).astype(float) for k in ("ang_vel", "specific_force", "up"))
+    gyro, accel, turned = turned_and_mirrored(rate, force, up, rng)
+    np.testing.assert_allclose((accel * turned).sum(-1), (force * up).sum(-1), atol=1e-5)
+    # d up / dt = up x rate, in the turned axes as in the old ones.
+    slope = (turned[:, 2:] - turned[:, :-2]) * 100.0
+    residual = slope - np.cross(turned, gyro)[:, 1:-1]
+    assert np.abs(residual).max() < 0.1 * np.abs(slope).max()
+    assert not np.allclose(turned, up)
+
+
+def test_half_of_the_streams_are_mirrored():
+    """A mirror image turns the other way about z."""
+    spin = np.tile([0.0, 0.0, 1.0], (400, 2, 1))
+    gyro, _, up = turned_and_mirrored(spin, spin, spin, np.random.default_rng(0))
+    assert 0.4 < (gyro[:, 0, 2] < 0).mean() < 0.6
+    np.testing.assert_allclose(up[..., 2], 1)
+
+
+def test_every_stream_has_an_imu_of_its_own_and_the_type_of_the_truth():
+    zero = np.zeros((2, 400, 3), np.float32)
+    imus = [ImuSpec(), ImuSpec(gyro=Sensor(noise=0.01), accel=Sensor(turn_on=1.0))]
+    gyro, accel = measured(imus, zero, zero, 200.0, np.random.default_rng(0))
+    assert gyro.dtype == np.float32
+    assert not gyro[0].any()
+    assert not accel[0].any()
+    assert gyro[1].std() == pytest.approx(0.01 * np.sqrt(200), rel=0.1)
+    assert np.ptp(accel[1], axis=0).max() == 0
+    assert np.abs(accel[1]).max() > 0.1
+    with pytest.raises(ValueError, match="2 IMUs for 3 vehicles"):
+        measured(imus, np.zeros((3, 4, 3)), np.zeros((3, 4, 3)), 200.0, np.random.default_rng(0))
+
+
+def test_a_vibrating_imu_is_shaken_behind_its_low_pass():
+    still = np.zeros((1, 4000, 3))
+    worst = make_config("att-snn", data="x").imu
+    only = ImuSpec(vibration=worst.vibration)
+    filtered = only.model_copy(update={"accel": Sensor(low_pass_hz=15.0)})
+    sizes = [
+        measured(spec, still, still, 200.0, np.random.default_rng(0))[1].std() for spec in (only, filtered)
+    ]
+    assert sizes[0] > 1
+    assert sizes[1] < 0.1 * sizes[0]
+
+
+def test_no_imu_is_worse_than_the_worst_and_calibrated_ones_have_the_least_errors():
+    worst, rng = make_config("att-snn", data="x").imu, np.random.default_rng(0)
+    imus = [draw_imu(worst, False, rng) for _ in range(300)]
+    assert all(0.2 <= imu.gyro.turn_on / worst.gyro.turn_on <= 1 for imu in imus)
+    assert all(worst.accel.noise / 6.01 < imu.accel.noise <= worst.accel.noise for imu in imus)
+    assert all(15 <= imu.gyro.low_pass_hz == imu.accel.low_pass_hz <= 90 for imu in imus)
+    assert all(np.abs(imu.mounting_deg).max() <= 4 for imu in imus)
+    saturated = [imu.gyro.saturation for imu in imus if imu.gyro.saturation]
+    assert 0.1 < len(saturated) / 300 < 0.2
+    assert 1 <= min(saturated) < max(saturated) <= 30
+    for share, found in (
+        (0.5, [imu.vibration is not None for imu in imus]),
+        (0.5, [any(imu.lever_arm) for imu in imus]),
+        (0.2, [imu.dropped > 0 for imu in imus]),
+    ):
+        assert np.mean(found) == pytest.approx(share, abs=0.1)
+    calibrated = [draw_imu(worst, True, rng) for _ in range(300)]
+    assert {imu.gyro.turn_on for imu in calibrated} == {0.2 * worst.gyro.turn_on}
+    assert max(np.abs(imu.mounting_deg).max() for imu in calibrated) <= 0.8
+    assert draw_imu(ImuSpec(), False, rng) == ImuSpec()
+
+
+def test_interrupted_streams_repeat_a_sample_and_have_false_rates():
+    rng = np.random.default_rng(0)
+    readings = (rng.normal(size=(400, 400, 3)), rng.normal(size=(400, 400, 3)))
+    interrupt(readings, CircuitTraining().interrupted_share, 200.0, rng)
+    repeated = (np.diff(readings[1], axis=1) == 0).all(2).sum(1)
+    assert 0.08 < (repeated > 0).mean() < 0.22
+    assert 80 < repeated.max() < 100
+    false = np.abs(readings[0]) > 8
+    assert 0 < false.any(2).sum(1).max() <= 10
+    assert false.any(1).sum(1).max() == 1

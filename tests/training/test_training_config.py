@@ -15,10 +15,7 @@ CONTROL, CIRCUIT = {"preset": "control-attitude", "data": ()}, {"preset": "att-s
 @pytest.mark.parametrize(
     ("choices", "message"),
     [
-        (
-            {"preset": "fast"},
-            r'unknown preset "fast"; valid: att-snn, control-a.*, tune, or a path',
-        ),
+        ({"preset": "fast"}, r'unknown preset "fast"; valid: att-snn, control-a.*, tune, or a path'),
         ({"epoch": 3}, 'unknown key "epoch"; did you mean "epochs"'),
         ({"batch_size": 0}, r"training: batch_size = 0: should be 1 to"),
         ({"rate_targets": [0.1, -1]}, r"training: rate_targets\[1\] = -1: should be 0 to"),
@@ -69,10 +66,8 @@ def test_a_preset_of_the_user_s_is_a_file(tmp_path):
 
 
 def test_a_circuit_without_data_makes_the_flights_of_its_preset(tmp_path):
-    config = make_config(
-        "att-snn", seed=2, flight_sets=[{"recipe": "hand-held", "flights": {"crazyflie": 1}}]
-    )
-    seen = []
+    sets, seen = [{"recipe": "hand-held", "flights": {"crazyflie": 1}}], []
+    config = make_config("att-snn", seed=2, flight_sets=sets)
     made = own_flights(config, tmp_path, lambda done, total: seen.append((done, total)))
     assert seen[-1] == (1, 1)
     assert open_dataset(made.data[0]).sizes["time"] == 12_000

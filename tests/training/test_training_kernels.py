@@ -37,8 +37,7 @@ FULL_SIZE = (8, 90, 100, 100, 2)
 
 
 @pytest.mark.parametrize(
-    ("quantised", "delay", "size"),
-    [*EVERY_WAY, (False, 2, FULL_SIZE), (True, 1, FULL_SIZE)],
+    ("quantised", "delay", "size"), [*EVERY_WAY, (False, 2, FULL_SIZE), (True, 1, FULL_SIZE)]
 )
 def test_fused_kernels_equal_plain_pytorch(quantised, delay, size):
     n, steps, h0, h1, threads = size
@@ -70,9 +69,8 @@ def test_windows_that_go_on_are_one_long_window_but_for_sequences_that_are_reset
     kernels = Fused(quantised, delay)
     whole = kernels.forward(x, weights)[0].detach()
     resets = [np.array(rows) for rows in ([True] * 3, [False] * 3, [False, True, False])]
-    parts = [
-        kernels.forward(x[:, 40 * k : 40 * k + 40], weights, resets[k])[0].detach().clone() for k in range(3)
-    ]
+    windows = zip(x.split(40, 1), resets, strict=True)
+    parts = [kernels.forward(part, weights, reset)[0].detach().clone() for part, reset in windows]
     joined, atol = torch.cat(parts, 1), 0 if quantised else 1e-11
     np.testing.assert_allclose(joined[::2], whole[::2], rtol=0, atol=atol)
     anew = Fused(quantised, delay).forward(x[:, 80:], weights)[0].detach()
@@ -88,11 +86,8 @@ def test_windows_go_on_with_neurons_whose_potential_is_at_the_chip_s_limit():
     kernels = Fused()
     whole = kernels.forward(x, weights)[0].detach()
     assert kernels._last.traces[0].v.min() == -(2**23 - 1) / 2**14
-    reset = np.ones(3, bool)
-    parts = [
-        kernels.forward(x[:, 400 * k : 400 * k + 400], weights, reset & (k == 0))[0].detach()
-        for k in range(3)
-    ]
+    windows = zip(x.split(400, 1), (True, False, False), strict=True)
+    parts = [kernels.forward(part, weights, np.full(3, reset))[0].detach() for part, reset in windows]
     np.testing.assert_array_equal(torch.cat(parts, 1), whole)
 
 
@@ -100,9 +95,8 @@ def test_quantised_float32_window_equals_the_float64_one():
     wide = random_weights(100, 100)
     narrow = Weights(*(w.detach().float().requires_grad_() for w in wide))
     x = random_input(4, 300)
-    np.testing.assert_array_equal(
-        Fused().forward(x, narrow)[0].detach(), Fused().forward(x, wide)[0].detach().float()
-    )
+    found, expected = (Fused().forward(x, weights)[0].detach() for weights in (narrow, wide))
+    np.testing.assert_array_equal(found, expected.float())
 
 
 def test_a_trace_that_is_overwritten_is_not_used():
@@ -111,9 +105,6 @@ def test_a_trace_that_is_overwritten_is_not_used():
     kernels.forward(x, weights)
     with pytest.raises(RuntimeError, match="another window"):
         first.sum().backward()
-
-
-# --- one encoder that fires on every large input, one hidden neuron, one output ----------------------
 
 
 def chain(x, tau=0.5):
@@ -176,9 +167,8 @@ def test_rounding_lets_gradients_through():
 
 
 def test_a_row_of_small_weights_has_finer_steps_down_to_the_finest():
-    w = torch.tensor(
-        [[0.9, 0.003], [0.1, 0.003], [1e-3, 0.003], [0.0, 0.0], [3.0, -3.0]], dtype=torch.float64
-    )
+    rows = [[0.9, 0.003], [0.1, 0.003], [1e-3, 0.003], [0.0, 0.0], [3.0, -3.0]]
+    w = torch.tensor(rows, dtype=torch.float64)
     assert weight_exponents(w, -6).tolist() == [[0], [-3], [-6], [-6], [0]]
     assert weight_exponents(w, 0).tolist() == [[0]] * 5
     fine = quantise_weights(w, -6)

@@ -1,3 +1,5 @@
+"""Limits of the chip in training, the optimiser and the loss."""
+
 import numpy as np
 import pytest
 import torch
@@ -9,6 +11,7 @@ from estimators.networks.weights_file import NetworkConfig
 from training.config import make_config
 from training.init import initialise_random
 from training.models import CURRENT_MAX, AttSNN
+from training.optim import LOOKAHEAD_ALPHA, LOOKAHEAD_K, Lookahead, error_loss, total_cost
 
 
 def model_of(encoding, hidden, logits=True, **choices):
@@ -71,7 +74,49 @@ def test_a_weight_can_be_trained_to_the_ends_of_the_chips_range_and_no_further(l
         model.w_ff.mul_(1e6)
         model.w_in.mul_(-1e6)
     model.constrain()
-    weights = model.weights()
-    assert (
-        set(weights.w_ff.abs().unique().tolist()) == set(weights.w_in.abs().unique().tolist()) == {127 / 128}
-    )
+    for weights in (model.weights().w_ff, model.weights().w_in):
+        assert weights.abs().unique().tolist() == [127 / 128]
+
+
+def test_slow_weights_go_half_way_every_six_steps():
+    weights = torch.nn.Parameter(torch.tensor([0.0]))
+    optimiser = Lookahead(torch.optim.SGD([weights], lr=1.0))
+    seen = []
+    for _ in range(12):
+        weights.grad = torch.tensor([-1.0])
+        optimiser.step()
+        seen.append(weights.item())
+    assert (LOOKAHEAD_K, LOOKAHEAD_ALPHA) == (6, 0.5)
+    assert seen == [1.0, 2.0, 3.0, 4.0, 5.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 6.0]
+
+
+def test_evaluated_weights_are_the_slow_ones():
+    weights = torch.nn.Parameter(torch.tensor([0.5, -2.0]))
+    optimiser = Lookahead(torch.optim.Adam([weights], lr=0.1))
+    before = weights.detach().clone()
+    for _ in range(2):
+        weights.square().sum().backward()
+        optimiser.step()
+    fast = weights.detach().clone()
+    with optimiser.evaluated():
+        torch.testing.assert_close(weights.detach(), before)
+    torch.testing.assert_close(weights.detach(), fast)
+
+
+def test_the_loss_is_quadratic_up_to_the_threshold_and_linear_beyond():
+    error = torch.tensor([[[0.03, 0.04], [0.3, -0.4], [0.0, 0.0]]], dtype=torch.float64, requires_grad=True)
+    wanted = torch.zeros_like(error)
+    assert error_loss(error, wanted).item() == pytest.approx((0.05**2 + 0.5**2) / 6)
+    assert error_loss(error, wanted, huber_threshold=1.0).item() == pytest.approx((0.05**2 + 0.5**2) / 6)
+    loss = error_loss(error, wanted, huber_threshold=0.1)
+    assert loss.item() == pytest.approx((0.05**2 / 2 + 0.1 * (0.5 - 0.1 / 2)) / 3)
+    loss.backward()
+    pulls = error.grad.norm(dim=-1)[0] * 3
+    torch.testing.assert_close(pulls, torch.tensor([0.05, 0.1, 0.0], dtype=torch.float64))
+
+
+def test_spikes_cost_what_exceeds_their_target_and_fewer_earn_nothing():
+    config = make_config(data="x", rate_cost=3.0, rate_targets=(0.1, 0.2))
+    right = torch.zeros(1, 4, 2)
+    for rates, excess in (([0.05, 0.1], 0.0), ([0.15, 0.1], 0.05), ([0.15, 0.4], 0.25)):
+        assert total_cost(right, right, torch.tensor(rates), config).item() == pytest.approx(3.0 * excess)

@@ -1,4 +1,3 @@
-import csv
 import errno
 import json
 import os
@@ -6,6 +5,7 @@ from copy import deepcopy
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 from plain_network import Plain
@@ -35,12 +35,6 @@ def weights_of(folder):
     return load_network(folder / "best.safetensors")[1]
 
 
-def same(a, b):
-    assert a.keys() == b.keys()
-    for name in a:
-        np.testing.assert_array_equal(a[name], b[name])
-
-
 def killed_and_resumed(out, after=1, **choices):
     """A run that is killed after an epoch and resumes; the epochs since then."""
 
@@ -55,16 +49,22 @@ def killed_and_resumed(out, after=1, **choices):
     return rows
 
 
+@pytest.fixture
+def trained(dataset, tmp_path):
+    """The arguments of a run of one epoch that is done."""
+    choices = TINY | {"data": dataset, "out": tmp_path, "epochs": 1}
+    train(**choices)
+    return choices
+
+
 def test_tiny_run_learns_and_leaves_its_files(dataset, tmp_path):
     rows = []
     changes = {"epochs": 8, "batches": 40, "windows_per_stream": 6, "rate_cost": 0.0}
     result = train(data=dataset, out=tmp_path, progress=lambda row, _: rows.append(row), **TINY | changes)
     assert rows[-1].train_loss < 0.8 * rows[0].train_loss
     assert result.best.score == min(row.validation["loss"] for row in rows)
-    with (tmp_path / "log.csv").open() as file:
-        assert [float(row["validation_error_deg"]) for row in csv.DictReader(file)] == [
-            row.validation["error_deg"] for row in rows
-        ]
+    logged = pd.read_csv(tmp_path / "log.csv", float_precision="round_trip")["validation_error_deg"]
+    assert logged.tolist() == [row.validation["error_deg"] for row in rows]
     assert (tmp_path / "curve.png").stat().st_size > 1000
     config, _ = load_network(result.weights)
     assert config.training["epoch"] == result.best.epoch + 1
@@ -81,7 +81,7 @@ def test_a_killed_run_resumes_to_the_same_weights(dataset, tmp_path, model):
     whole, cut = (torch.load(tmp_path / run / "checkpoint.pt", weights_only=True) for run in ("whole", "cut"))
     for name in whole["model"]:
         np.testing.assert_array_equal(whole["model"][name], cut["model"][name])
-    same(weights_of(tmp_path / "whole"), weights_of(tmp_path / "cut"))
+    np.testing.assert_equal(weights_of(tmp_path / "cut"), weights_of(tmp_path / "whole"))
     train(out=tmp_path / "cut", **choices, threads=2)  # another number of threads is the same run
 
 
@@ -93,10 +93,7 @@ def test_a_neuron_has_the_finest_exponent_that_holds_its_weights(dataset, tmp_pa
         assert tensors[exponents].min() < 0
 
 
-def test_the_folder_of_another_run_is_refused_in_one_line(dataset, tmp_path):
-    choices = {"data": dataset, "out": tmp_path, "epochs": 1}
-    choices |= {"batches": 1, "batch_size": 1, "window_s": 0.1}
-    train(**choices)
+def test_the_folder_of_another_run_is_refused_in_one_line(trained, tmp_path):
     assert json.loads((tmp_path / "contents.json").read_text())["code"] == code_digest("training.epochs")
     for file, change, message in (
         ("config.json", {"of_before": 1.0}, "a run of another version of quadsim, choose another folder$"),
@@ -109,7 +106,7 @@ def test_the_folder_of_another_run_is_refused_in_one_line(dataset, tmp_path):
         assert change.keys() - written.keys() <= {"of_before"}
         (tmp_path / file).write_text(json.dumps(written | change))
         with pytest.raises(ValueError, match=f"holds {message}"):
-            train(**choices)
+            train(**trained)
         (tmp_path / file).write_text(before)
 
 
@@ -130,16 +127,14 @@ def test_files_that_are_not_there_are_named(dataset, tmp_path):
     assert not (tmp_path / "run").exists()
 
 
-def test_a_checkpoint_of_another_version_is_refused_in_one_line(dataset, tmp_path):
-    choices = TINY | {"data": dataset, "out": tmp_path, "epochs": 1}
-    train(**choices)
+def test_a_checkpoint_of_another_version_is_refused_in_one_line(trained, tmp_path):
     state = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
     more = state["model"] | {"w_more": torch.zeros(2, 6)}
     less = {name: value for name, value in state["model"].items() if name != "w_in_scale"}
     for model in (more, less):
         torch.save(state | {"model": model}, tmp_path / "checkpoint.pt")
         with pytest.raises(ValueError, match="checkpoint is damaged or of another version of quadsim"):
-            train(**choices)
+            train(**trained)
 
 
 @pytest.mark.parametrize(
@@ -152,15 +147,12 @@ def test_a_checkpoint_of_another_version_is_refused_in_one_line(dataset, tmp_pat
         ("best.safetensors", None, r"best\.safetensors is missing beside its checkpoint"),
     ],
 )
-def test_a_run_with_a_damaged_file_is_refused_in_one_line(dataset, tmp_path, file, content, message):
-    choices = TINY | {"data": dataset, "out": tmp_path, "epochs": 1}
-    train(**choices)
-    if content is None:
-        (tmp_path / file).unlink()
-    else:
+def test_a_run_with_a_damaged_file_is_refused_in_one_line(trained, tmp_path, file, content, message):
+    (tmp_path / file).unlink()
+    if content is not None:
         (tmp_path / file).write_text(content)
     with pytest.raises(ValueError, match=message):
-        train(**choices)
+        train(**trained)
 
 
 def test_a_loss_that_is_not_a_number_stops_the_run(dataset, tmp_path, monkeypatch):
@@ -198,13 +190,12 @@ def test_a_run_that_stopped_early_has_nothing_left_to_do(dataset, tmp_path, monk
 
 def test_stopping_rules_of_the_paper():
     falling = list(np.linspace(1, 0.5, 60))
-    assert finished(falling) is None
-    assert finished([*falling, *[0.6] * 50]) == "the lowest validation loss is 50 epochs old"
-    assert "20-epoch average" in str(finished([*falling, *[0.9] * 20]))
-    assert finished([1.0] * 50) is None
-    assert finished([1.0] * 51) == "the lowest validation loss is 50 epochs old"
-    assert finished([1.0] * 20 + [1.09] * 20) is None
-    assert "20-epoch average" in str(finished([1.0] * 20 + [1.11] * 20))
+    old = "the lowest validation loss is 50 epochs old"
+    for going_on in (falling, [1.0] * 50, [1.0] * 20 + [1.09] * 20):
+        assert finished(going_on) is None
+    assert finished([*falling, *[0.6] * 50]) == finished([1.0] * 51) == old
+    for rising in ([*falling, *[0.9] * 20], [1.0] * 20 + [1.11] * 20):
+        assert "20-epoch average" in str(finished(rising))
 
 
 def test_fixed_time_constants_stay_and_do_not_count_in_the_gradients_norm(dataset, tmp_path):
@@ -220,9 +211,7 @@ def test_fixed_time_constants_stay_and_do_not_count_in_the_gradients_norm(datase
     assert frozen == {"syn0", "mem0", "syn1", "mem1", "syn2", "mem2"}
 
 
-def test_a_full_disk_names_the_file_and_leaves_no_part(dataset, tmp_path, monkeypatch):
-    choices = TINY | {"data": dataset, "out": tmp_path, "epochs": 1}
-    train(**choices)
+def test_a_full_disk_names_the_file_and_leaves_no_part(trained, tmp_path, monkeypatch):
     before = (tmp_path / "best.safetensors").read_bytes()
     write = Path.write_bytes
 
@@ -232,12 +221,9 @@ def test_a_full_disk_names_the_file_and_leaves_no_part(dataset, tmp_path, monkey
 
     monkeypatch.setattr(Path, "write_bytes", full)
     with pytest.raises(OSError, match=r"No space left on device: .*config\.json"):
-        train(**choices)
+        train(**trained)
     assert (tmp_path / "best.safetensors").read_bytes() == before
     assert not [each for each in os.listdir(tmp_path) if "part" in each]
-
-
-# --- several network steps for each sample ----------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -252,7 +238,6 @@ def begun(dataset):
 
 
 def chip_of(training):
-    """The network so far on the emulated chip."""
     return NetworkEstimator(OnLoihi(*training.exported()), 200.0)
 
 
@@ -314,10 +299,9 @@ def test_events_for_tensorboard_are_the_rows_of_the_log(dataset, tmp_path):
     with tensorboard_events(tmp_path) as write:
         log_until(None, write)
     events = accumulator.EventAccumulator(str(tmp_path)).Reload()
-    with (tmp_path / "log.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert set(events.Tags()["scalars"]) == rows[0].keys() - {"epoch"}
-    for name in rows[0].keys() - {"epoch"}:
+    rows = pd.read_csv(tmp_path / "log.csv").drop(columns="epoch")
+    assert set(events.Tags()["scalars"]) == set(rows)
+    for name in rows:
         found = [(event.step, event.value) for event in events.Scalars(name)]
         assert [step for step, _ in found] == [1, 2, 3]
-        assert [value for _, value in found] == pytest.approx([float(row[name]) for row in rows])
+        assert [value for _, value in found] == pytest.approx(rows[name].tolist())
