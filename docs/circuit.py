@@ -226,6 +226,6 @@ def circuit(part: Part, given: Namespace) -> Values:
         "steps": steps,
         "worst": str(costs.idxmax()),
         "worst-cost": f"{costs.max():.2f}",
-        "median-cost": f"{costs.median():.2f}",
+        "median-cost": f"{costs.median():z.2f}",
         "training-flights": str(load_circuit(NAME).config.training["training_flights"]),
     }
