@@ -16,10 +16,20 @@ def fly(
         str, typer.Argument(help="A shipped scenario, for example wind-gust, or a TOML file.")
     ],
     estimator: Annotated[
-        str,
-        typer.Option(help="Estimator: a name, weights (.safetensors) or your own file.py:Class."),
-    ] = "att-snn-loihi",
+        str | None,
+        typer.Option(
+            help="Estimator: a name, weights (.safetensors) or your own file.py:Class; "
+            "default: att-snn-loihi."
+        ),
+    ] = None,
     controller: Annotated[str, typer.Option(help=OWN_CONTROLLER)] = "cascaded",
+    autopilot: Annotated[
+        str | None,
+        typer.Option(
+            help="Firmware that flies in place of estimator and controller: betaflight, in angle mode, or "
+            "betaflight-rate. The first flight with it compiles it."
+        ),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(help="Folder; default: reports/fly-SCENARIO-ESTIMATOR, with other choices appended."),
@@ -36,7 +46,12 @@ def fly(
     """Fly one scenario with attitude from one estimator; write a report and all samples as CSV.
 
     Example: quadsim fly wind-gust --estimator att-snn-loihi --video
+
+    Example: quadsim fly step --autopilot betaflight
     """
+    from estimators.control.controller import CASCADED
+    from quadsim.autopilot.flight import AUTOPILOTS
+    from quadsim.config.toml import nearest
     from scenarios.bench.cell import FlightSettings
     from scenarios.bench.controllers import contender
     from scenarios.single_flight import file_name, fly_scenario
@@ -44,7 +59,14 @@ def fly(
 
     from .conditions import conditions_of
 
-    estimator = contender(estimator, controller)
+    if autopilot is None:
+        estimator = contender(estimator or "att-snn-loihi", controller)
+    elif autopilot not in AUTOPILOTS:
+        raise ValueError(f"--autopilot {autopilot}: {nearest(autopilot, AUTOPILOTS)}")
+    elif estimator or controller != CASCADED:
+        raise ValueError(f"--autopilot {autopilot} has its own estimator and controller: leave them out")
+    else:
+        estimator = autopilot
     given = conditions_of(set_)
     parts = (scenario, estimator, *filter(None, (given.vehicle, given.imu, given.tuning)))
     folder = out or Path("reports") / "-".join(["fly", *map(file_name, parts)])

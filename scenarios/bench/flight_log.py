@@ -55,7 +55,17 @@ def log_dtype(rotors: int) -> np.dtype[np.void]:
 
 
 def fly(mission: Mission, seed: int, first: int = 0) -> Flown:
-    """Simulate a mission; its flights are those with the numbers `first`, `first` + 1, ... of the seed."""
+    """Simulate a mission; its flights are those with the numbers `first`, `first` + 1, ... of the seed.
+
+    However it ends, its estimator is closed if it has a `close`.
+    """
+    try:
+        return _fly(mission, seed, first)
+    finally:
+        getattr(mission.estimator, "close", lambda: None)()
+
+
+def _fly(mission: Mission, seed: int, first: int) -> Flown:
     mission.begin(vehicle_seeds(seed, first + mission.n)[first:])
     rotors, every = len(mission.vehicle.rotors), decimation(mission.rate_hz)
     log, signals = np.zeros((mission.steps, mission.n), log_dtype(rotors)), []
