@@ -28,8 +28,6 @@ Array = NDArray[np.float64]
 SCENARIOS = ("hover", "step", "wind-gust", "figure-8", "dryden-moderate")
 EACH, SEED = 4, 1
 """Flights of each scenario, each with its own number of this seed; settings were tried with seed 0."""
-FLIGHT_S, RATE_S = 12.0, 8.0
-"""Length of flights in angle mode and of others [s]."""
 IMU = "adis16448"
 CALIBRATED = ROOT / "reports" / "betaflight" / "calibrated.toml"
 """The same IMU without the turn-on bias of the gyroscope."""
@@ -38,6 +36,8 @@ BETAFLIGHT, GAIN = "betaflight", 0.25
 OURS = ("mahony", "imm", "vqf", "att-snn-loihi")
 RATE_MODE = "hover", "step"
 REPEATS, REPEATED = 5, "step"
+SHORT_S = 10.0
+"""Length of flights in rate mode and of those that are repeated [s]."""
 
 
 class Flight(NamedTuple):
@@ -51,10 +51,10 @@ class Flight(NamedTuple):
 
 
 def flown(
-    scenario: str, first: int, imu: str, mode: str = BETAFLIGHT, n: int = EACH, seconds: float = FLIGHT_S
+    scenario: str, first: int, imu: str, mode: str = BETAFLIGHT, n: int = EACH, seconds: float | None = None
 ) -> Flight:
     """Flights of a scenario on Betaflight, with the numbers `first`, `first` + 1, … of the seed."""
-    changes = {"imu": imu, "duration_s": seconds}
+    changes = {"imu": imu} | ({"duration_s": seconds} if seconds else {})
     mission = mission_of(changed(load_scenario(scenario), changes), mode, FlightSettings(n))
     rows = []
     try:
@@ -111,14 +111,14 @@ def rows_of(both: Sequence[dict[str, Array]]) -> list[Row]:
 
 def sentence(errors: dict[str, Array]) -> str:
     """Which of our estimators differ from Betaflight's, in words."""
-    words: dict[str, list[str]] = {"smaller": [], "larger": [], "not significantly different": []}
+    words: dict[str, list[str]] = {"smaller": [], "not significantly different": [], "larger": []}
     for name in OURS:
         behind = errors[name] - errors[BETAFLIGHT]
-        significant = abs(behind.mean()) > interval(behind)
-        words[
-            ("smaller" if behind.mean() < 0 else "larger") if significant else "not significantly different"
-        ] += [f"`{name}` ({errors[name].mean():.2f}°)"]
-    return "; ".join(f"{how}: {listed(of)}" for how, of in words.items() if of)
+        how = "smaller" if behind.mean() < 0 else "larger"
+        if abs(behind.mean()) <= interval(behind):
+            how = "not significantly different"
+        words[how].append(f"`{name}` {errors[name].mean():.2f}°")
+    return listed([f"{how} ({', '.join(of)})" for how, of in words.items() if of])
 
 
 def flight_row(scenario: str, mode: str, flight: Flight) -> Row:
@@ -143,8 +143,8 @@ def betaflight(part: Part, given: Namespace) -> Values:
             bar(done, len(jobs))
     suite, calibrated = flights.values()
     both = [compared(suite), compared(calibrated)]
-    rate = [flown(name, 0, IMU, "betaflight-rate", n=2, seconds=RATE_S) for name in RATE_MODE]
-    repeats = [flown(REPEATED, 0, IMU, n=1, seconds=RATE_S) for _ in range(REPEATS)]
+    rate = [flown(name, 0, IMU, "betaflight-rate", n=2, seconds=SHORT_S) for name in RATE_MODE]
+    repeats = [flown(REPEATED, 0, IMU, n=1, seconds=SHORT_S) for _ in range(REPEATS)]
     ends = np.array([each.distance[0, -1] for each in repeats])
     means = np.array([attitude_error(each.estimate, each.truth).sequences[0] for each in repeats])
     same = all(np.array_equal(each.estimate, repeats[0].estimate) for each in repeats)
@@ -155,20 +155,19 @@ def betaflight(part: Part, given: Namespace) -> Values:
     return {
         "verdict": f"Betaflight's estimator has an error of {own:.2f}° (95 % interval "
         f"{span(own - half, own + half)}°) over {count} flights, of which {crashes} crashed. On the same "
-        f"readings, the errors of quadsim's estimators are {sentence(both[0])}.",
-        "calibrated": f"With a calibrated gyroscope, its error is {theirs:.2f}°, and theirs are "
-        f"{sentence(both[1])}.",
+        f"readings, quadsim's estimators have errors that are {sentence(both[0])}.",
+        "calibrated": f"With a calibrated gyroscope, its error is {theirs:.2f}°, and quadsim's "
+        f"estimators have errors that are {sentence(both[1])}.",
         "version": version("betaflight"),
         "flights": str(count),
-        "seconds": f"{FLIGHT_S:g}",
         "each": str(EACH),
         "errors": rows_of(both),
         "flown": [
             *(flight_row(name, "angle", each) for name, each in zip(SCENARIOS, suite, strict=True)),
             *(flight_row(name, "rate", each) for name, each in zip(RATE_MODE, rate, strict=True)),
         ],
-        "repeats": f"{REPEATS} flights of `{REPEATED}` ({RATE_S:g} s) with the same seed have standard deviations of "
-        f"{ends.std(ddof=1):.3g} m in the final distance from the set-point and "
-        f"{means.std(ddof=1):.3g}° in the error of the estimate. Their estimates are "
+        "repeats": f"{REPEATS} flights of `{REPEATED}` ({SHORT_S:g} s) with the same seed have standard "
+        f"deviations of {(ends - ends[0]).std(ddof=1):.3g} m in the final distance from the set-point and "
+        f"{(means - means[0]).std(ddof=1):.3g}° in the error of the estimate. Their estimates are "
         f"{'equal in every bit' if same else 'not equal'}.",
     }

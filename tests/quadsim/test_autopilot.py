@@ -2,8 +2,11 @@
 
 import os
 import re
+import signal
 import stat
+import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -218,3 +221,20 @@ def test_a_setting_that_the_firmware_does_not_know_is_an_error(program, tmp_path
     ):
         configure(program, tmp_path, ["set p_rol = 1"])
     assert not children()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_the_firmware_ends_with_the_simulator_however_that_ends(program, tmp_path, number):
+    code = "from quadsim.autopilot.firmware import *; firmware = Firmware(*map(Path, sys.argv[1:]))"
+    code = f"import sys, time; {code}; print(firmware.process.pid, flush=True); time.sleep(60)"
+    command = [sys.executable, "-c", code, str(program), str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as simulator:
+        assert simulator.stdout
+        place = Path("/proc") / simulator.stdout.readline().strip() / "cwd"
+        assert place.readlink() == tmp_path
+        simulator.send_signal(number)
+    for _ in range(100):
+        if not place.is_symlink():
+            break
+        time.sleep(0.05)
+    assert not place.is_symlink()
