@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -238,3 +239,44 @@ def test_the_firmware_ends_with_the_simulator_however_that_ends(program, tmp_pat
             break
         time.sleep(0.05)
     assert not place.is_symlink()
+
+
+@pytest.mark.parametrize(
+    ("target", "path", "message"),
+    [
+        ("", os.environ["PATH"], "target.h has no '#undef USE_IMU_CALC': another version than 0.0.6?"),
+        (
+            "#undef USE_IMU_CALC\n#define SIMULATOR_MULTITHREAD",
+            "",
+            "compiled by make and gcc, and there is no make",
+        ),
+        (
+            "#undef USE_IMU_CALC\n#define SIMULATOR_MULTITHREAD",
+            os.environ["PATH"],
+            "cannot be compiled: .*Error 7",
+        ),
+    ],
+)
+def test_a_firmware_that_cannot_be_compiled_is_an_error_and_leaves_no_program(
+    target, path, message, tmp_path, monkeypatch
+):
+    files = {
+        "Makefile": "all:\n\texit 7\n",
+        "mk/none": "",
+        "lib/main/dyad/none": "",
+        "lib/main/google/none": "",
+        "src/platform/SIMULATOR/sitl.c": "",
+        "src/platform/SIMULATOR/target/SITL/target.h": target,
+        "src/platform/SIMULATOR/mk/SITL.mk": "$(LIB_MAIN_DIR)/dyad/dyad.c \\",
+    }
+    for name, text in files.items():
+        place = tmp_path / "firmware" / name
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.write_text(text)
+    spec = SimpleNamespace(submodule_search_locations=[str(tmp_path)])
+    monkeypatch.setattr("quadsim.autopilot.firmware.find_spec", lambda name: spec)
+    monkeypatch.setattr("quadsim.autopilot.firmware.user_cache_dir", lambda name: str(tmp_path / "cache"))
+    monkeypatch.setenv("PATH", path)
+    with pytest.raises(ValueError, match=message):
+        compiled()
+    assert not [each for each in (tmp_path / "cache").glob("*") if each.suffix != ".lock"]
