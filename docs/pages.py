@@ -43,6 +43,7 @@ PARTS = {
     "deploy": ("docs/chip.md", "cortex.microcontrollers"),
     "speed": ("docs/speed.md", "speed.speed"),
     "paper": ("docs/paper.md", "errors.paper"),
+    "betaflight": ("docs/betaflight.md", "autopilots.betaflight"),
 }
 """Parts, the page that each stands in, and the script and function that measure it."""
 STAMP = re.compile(

@@ -122,6 +122,7 @@ class AttitudeEstimator(Protocol):
     - `quat` (n, 4), and `reset(quat=...)`: the filter estimates a quaternion quat_WB.
     - `gyro_bias` (n, 3) [rad/s]: the filter estimates the bias of its gyroscope.
     - `roll_pitch_sigma` (n, 2) [rad]: standard deviation of roll and pitch, by the filter's own covariance.
+    - `close()`: called at the end of the flights.
     - `skipped` (n,): samples since `reset` that were missing in part or whole and were bridged by prediction.
 
     An `update` or a `sequence` without the keywords of `OtherSensors` is called without them.

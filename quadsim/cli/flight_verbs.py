@@ -16,10 +16,20 @@ def fly(
         str, typer.Argument(help="A shipped scenario, for example wind-gust, or a TOML file.")
     ],
     estimator: Annotated[
-        str,
-        typer.Option(help="Estimator: a name, weights (.safetensors) or your own file.py:Class."),
-    ] = "att-snn-loihi",
+        str | None,
+        typer.Option(
+            help="Estimator: a name, weights (.safetensors) or your own file.py:Class; "
+            "default: att-snn-loihi."
+        ),
+    ] = None,
     controller: Annotated[str, typer.Option(help=OWN_CONTROLLER)] = "cascaded",
+    autopilot: Annotated[
+        str | None,
+        typer.Option(
+            help="Firmware that flies in place of estimator and controller: betaflight, in angle mode, or "
+            "betaflight-rate. The first flight with it compiles it."
+        ),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(help="Folder; default: reports/fly-SCENARIO-ESTIMATOR, with other choices appended."),
@@ -28,9 +38,6 @@ def fly(
     seeds: Annotated[int, typer.Option(min=1, max=10_000, help="Number of flights.")] = 1,
     set_: ConditionFields = None,
     seed: Seed = 0,
-    flight: Annotated[
-        int, typer.Option(min=0, max=9999, help="First flight, by its number in flights.parquet of bench.")
-    ] = 0,
     video: Annotated[bool, typer.Option("--video", help="Write an MP4 of the first flight.")] = False,
     rerun: Rerun = None,
     mcap: Mcap = None,
@@ -40,17 +47,29 @@ def fly(
     Example: quadsim fly wind-gust --estimator att-snn-loihi --video
 
     Example: quadsim fly figure-8 --estimator eskf --rerun flight.rrd --mcap flight.mcap
+
+    Example: quadsim fly step --autopilot betaflight
     """
+    from estimators.control.controller import CASCADED
+    from quadsim.autopilot.flight import AUTOPILOTS
+    from quadsim.config.toml import nearest
     from scenarios.bench.cell import FlightSettings
     from scenarios.bench.controllers import contender
     from scenarios.single_flight import file_name, fly_scenario
     from scenarios.verbs import warn
 
     from ..pictures.timeline import viewer_files
-    from .conditions import conditions_of
+    from .conditions import flight_conditions_of
 
-    estimator = contender(estimator, controller)
-    given = conditions_of(set_)
+    if autopilot is None:
+        estimator = contender(estimator or "att-snn-loihi", controller)
+    elif autopilot not in AUTOPILOTS:
+        raise ValueError(f"--autopilot {autopilot}: {nearest(autopilot, AUTOPILOTS)}")
+    elif estimator or controller != CASCADED:
+        raise ValueError(f"--autopilot {autopilot} has its own estimator and controller: leave them out")
+    else:
+        estimator = autopilot
+    given = flight_conditions_of(set_)
     parts = (scenario, estimator, *filter(None, (given.vehicle, given.imu, given.tuning)))
     folder = out or Path("reports") / "-".join(["fly", *map(file_name, parts)])
     try:
@@ -65,7 +84,7 @@ def fly(
                 folder,
                 FlightSettings(seeds, seed, given.rate, given.tuning),
                 given.changes(duration),
-                flight=flight,
+                flight=given.flight,
                 video=video,
                 progress=bar,
                 show=show,

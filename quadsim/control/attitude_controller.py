@@ -21,7 +21,10 @@ Array = NDArray[np.float64]
 
 
 class AttitudeController(Protocol):
-    """Follows set-points of attitude for n vehicles, one sample at a time."""
+    """Follows set-points of attitude for n vehicles, one sample at a time.
+
+    One with a true `rotor_speeds` returns the speeds of the rotors from `update`, (n, rotors) [rad/s].
+    """
 
     def reset(self, n: int) -> None:
         """Start n vehicles. A controller that also has `restart(ids)` can start single ones again."""
@@ -105,7 +108,7 @@ class InnerLoop:
             accel: (n, 3) specific force as read [m/s²].
 
         Raises:
-            ValueError: The controller fails, or what it returns is not (n, 4) finite numbers.
+            ValueError: The controller fails, or what it returns is not finite numbers of their shape.
         """
         if level > ATTITUDE:
             return level
@@ -116,11 +119,17 @@ class InnerLoop:
         call = f"controller {self.name}: update"
         with named_errors(call, passing=()):
             returned = self.controller.update(*map(np.array, given))
-        what = "angular acceleration [rad/s²] and thrust per mass [m/s²]"
-        action = numbers_of(returned, self.set_point.shape, call, what)
+        what, shape = "angular acceleration [rad/s²] and thrust per mass [m/s²]", self.set_point.shape
+        speeds = self.records["controller"]["rotor_vel_cmd"]
+        if direct := getattr(self.controller, "rotor_speeds", False):
+            what, shape = "speeds of rotors [rad/s]", speeds.shape
+        action = numbers_of(returned, shape, call, what)
         if not np.isfinite(action).all():
             raise ValueError(f"{call} returns numbers that are not finite")
-        actuate_all(self.records, action)
+        if direct:
+            speeds[:] = action
+        else:
+            actuate_all(self.records, action)
         return ROTOR
 
 

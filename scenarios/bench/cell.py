@@ -12,10 +12,12 @@ import estimators
 from estimators.control.controller import make_controller
 from estimators.metrics import RANGE, flaw_of
 from estimators.tuned import load_tuning
+from quadsim.autopilot.flight import AUTOPILOTS, Betaflight
 from quadsim.estimator import receives_truth
 from quadsim.flight.mission import Mission
 from quadsim.flight.scenario import Scenario
 from quadsim.flight.world import CAUSES
+from quadsim.vehicle import load_vehicle
 
 from .controllers import controller_of, estimator_of
 from .flight_log import Flown, fly
@@ -108,9 +110,14 @@ def mission_of(scenario: Scenario, contender: str, settings: FlightSettings) -> 
     Raises:
         ValueError: One of them cannot be made.
     """
+    if (name := estimator_of(contender)) in AUTOPILOTS:
+        autopilot = Betaflight(load_vehicle(scenario.vehicle), settings.rate_hz, name)
+        return Mission(
+            scenario, autopilot, settings.seeds, settings.rate_hz, controller=lambda *_: autopilot.pilot
+        )
     vehicle = scenario.vehicle if scenario.vehicle_known else None
     parts = {"tuning": settings.tuning, "vehicle": vehicle, "imu": scenario.imu}
-    made = estimators.create(estimator_of(contender), settings.rate_hz, **parts)
+    made = estimators.create(name, settings.rate_hz, **parts)
     controller = make_controller(controller_of(contender))
     return Mission(scenario, made, settings.seeds, settings.rate_hz, controller=controller)
 

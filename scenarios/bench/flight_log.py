@@ -59,8 +59,16 @@ def log_dtype(rotors: int) -> np.dtype[np.void]:
 def fly(mission: Mission, seed: int, first: int = 0, *, every_sample: bool = False) -> Flown:
     """Simulate a mission; its flights are those with the numbers `first`, `first` + 1, ... of the seed.
 
-    Signals are taken at `SERIES_HZ`, or at every sample.
+    Signals are taken at `SERIES_HZ`, or at every sample. However it ends, its estimator is closed if it has
+    a `close`.
     """
+    try:
+        return _fly(mission, seed, first, every_sample)
+    finally:
+        getattr(mission.estimator, "close", lambda: None)()
+
+
+def _fly(mission: Mission, seed: int, first: int, every_sample: bool) -> Flown:
     mission.begin(vehicle_seeds(seed, first + mission.n)[first:])
     rotors, every = len(mission.vehicle.rotors), 1 if every_sample else decimation(mission.rate_hz)
     log, signals = np.zeros((mission.steps, mission.n), log_dtype(rotors)), []

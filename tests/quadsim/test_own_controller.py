@@ -88,3 +88,14 @@ def test_a_controller_without_restart_is_said_so():
     mission = begun(lambda *_: Bad(np.zeros((2, 4))))
     with pytest.raises(ValueError, match="no restart"):
         mission.restart(np.array([0]), SEEDS[:1])
+
+
+def test_a_controller_may_return_the_speeds_of_the_rotors():
+    controller, speeds = Bad(np.full((2, 4), 450.0)), np.full((2, 4), 450.0)
+    controller.rotor_speeds = True
+    mission = begun(lambda *_: controller)
+    mission.step()
+    np.testing.assert_array_equal(mission.plant.rotor_vel_cmd, speeds)
+    controller.action = speeds[:, :3]
+    with pytest.raises(ValueError, match=r"shape \(2, 3\); speeds of rotors \[rad/s\].*\(2, 4\)"):
+        mission.step()
