@@ -40,8 +40,8 @@ ConditionFields = Annotated[
         "--set",
         help="Condition of the flights, as name=value: vehicle, imu or external (a shipped name or a "
         "TOML file, in place of the scenarios'), tuning (filter parameters: a shipped name or a "
-        "file from quadsim tune), engine (auto, mujoco), rate (samples per second); of fly also flight (the first one, by its number "
-        "in flights.parquet of bench). "
+        "file from quadsim tune), engine (auto, mujoco), rate (samples per second); of fly also flight "
+        "(the first one, by its number in flights.parquet of bench). "
         "Repeat for more.",
     ),
 ]
