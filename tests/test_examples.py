@@ -34,4 +34,4 @@ def test_ppo_trains_is_judged_and_drawn(ppo, capsys, monkeypatch, tmp_path):
         assert image.size == (880, 440)
     policy = load_policy(tmp_path / "seed-0.safetensors")
     assert policy.spec.training == {"example": "ppo.py", "seed": 0, "steps": 512, "recipe": "control"}
-    assert ppo.judge(ppo.scenario_of("control"), policy)[0] == pytest.approx(float(rows[-1]["return"]))
+    assert ppo.judge(ppo.scenario_of("control"), policy)[0] == pytest.approx(rows["return"].iloc[-1])

@@ -83,6 +83,8 @@ def report(
     elif (place / "bench.json").exists():
         _refuse_others(given, "a benchmark", "--out")
         report_benchmark(place, out)
+    elif place.is_dir() and (out is not None or not any(place.iterdir())):
+        raise ValueError(f"{path}: holds no finished entry of a task, no benchmark and no dataset")
     elif place.exists():
         _refuse_others(given, "a log", "--mount", "--truth", "--imu", "--find-mount")
         _report_log(place, mount, truth, imu, find_mount)

@@ -48,6 +48,8 @@ def run_all(
     jobs: Mapping[Key, tuple],
     workers: int | None = None,
     executor: Executor | None = None,
+    *,
+    apart: bool = False,
 ) -> Generator[tuple[Key, Result | BaseException]]:
     """Call a function for every job; a worker process that dies ends no job save the one that it was at.
 
@@ -59,6 +61,7 @@ def run_all(
         jobs: Arguments by key.
         workers: Processes, by default one for each CPU; 1 stays in this process and runs the jobs in order.
         executor: Where to run in place of processes of our own.
+        apart: Whether even one worker is a process of its own, for code that may end it.
 
     Yields:
         The key of each job with its result as they end; in place of a result, the exception of a worker.
@@ -67,7 +70,7 @@ def run_all(
     if executor is not None:
         yield from _submit(executor, function, jobs)
         return
-    if workers == 1:
+    if workers == 1 and not apart:
         for key, job in jobs.items():
             yield key, function(*job)
         return

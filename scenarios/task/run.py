@@ -129,7 +129,7 @@ def _scored(
     files = {(name, part): _file(each, part, about) for name, each in by_name.items() for part in task.parts}
     done = {key: stored for key, file in files.items() if (stored := _stored(file, SCORE)) is not None}
     jobs = {key: (task, key[1], by_name[key[0]].card, data) for key in files if key not in done}
-    for key, score in run_all(score_part, jobs, workers, executor):
+    for key, score in run_all(score_part, jobs, workers, executor, apart=workers != 1):
         if isinstance(score, BaseException):  # the worker itself died
             score = PartScore(flaw=f"did not run: {type(score).__name__}: {score}")
         else:

@@ -234,7 +234,7 @@ def test_evaluate_leaves_a_log_without_attitude_out_and_says_so(log, tmp_path, p
     assert "nan" not in out
     assert set(pd.read_csv(tmp_path / "out" / "logs.csv")["log"]) == {"with"}
     out = printed(*EVALUATE, "--logs", logs[1])
-    assert "without: turned to the world and averaged over 10 s" in out
+    assert "without: rotated to the world and averaged over 10 s" in out
     assert "nan" not in out
 
 

@@ -94,6 +94,10 @@ def test_everything_that_ships_can_be_listed_with_a_sentence(printed):
         ("evaluate --data missing.zarr", "missing.zarr"),
         ("evaluate --logs missing.csv --estimator missing.safetensors", "missing"),
         ("report notes.txt", "notes.txt"),
+        (
+            "report empty --out x.html",
+            "empty: holds no finished entry of a task, no benchmark and no dataset",
+        ),
         ("evaluate --data notes.txt", "notes.txt"),
         ("generate --out x.zarr --set vehicle=bad.toml", "bad.toml: not valid TOML: Invalid value (at line"),
         ("identify nowhere.zarr", "nowhere.zarr"),
@@ -122,9 +126,10 @@ def test_everything_that_ships_can_be_listed_with_a_sentence(printed):
 )
 def test_a_mistake_is_one_clear_line_and_exit_code_2_and_leaves_nothing(refused, tmp_path, command, said):
     (tmp_path / "notes.txt").write_text("hello")
+    (tmp_path / "empty").mkdir()
     (tmp_path / "bad.toml").write_text("mass = \n")
     assert said in refused(*command.split())
-    assert {each.name for each in tmp_path.iterdir()} <= {"notes.txt", "bad.toml", "reports"}
+    assert {each.name for each in tmp_path.iterdir()} <= {"empty", "notes.txt", "bad.toml", "reports"}
 
 
 def test_tuning_writes_the_whole_command_and_evaluation_reads_the_values(printed, refused, dataset, tmp_path):

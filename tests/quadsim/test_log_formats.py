@@ -7,8 +7,7 @@ import sys
 
 import numpy as np
 import pytest
-from reported import reported
-from sensor import consistent, turning
+from sensor import consistent, reported, turning
 
 from quadsim.logs import read_recording
 from quadsim.rotation import euler_from_quat, swap_enu_flu_ned_frd, swap_flu_frd
