@@ -1,27 +1,22 @@
-"""Networks of Norse, snnTorch and our own NIR files on the emulated chip, and as C."""
+"""Networks of Norse, snnTorch and our own NIR files in floats and in the chip's integers."""
 
-import copy
 import ctypes
-import json
 import subprocess
 
 import numpy as np
 import pytest
 from c_export import STRICT
-from safetensors.numpy import load_file
 
 from estimators.analysis.energy import counts
 from estimators.analysis.imported import (
-    ImportSettings,
     agreement,
     encoded_inputs,
-    import_nir,
     on_chip,
     run_chip,
     run_floats,
 )
 from estimators.control.controller import set_point_gain
-from estimators.export.chip_network import mantissas, quantise
+from estimators.export.chip_network import mantissas
 from estimators.export.formats import export_weights
 from estimators.export.layers_c import write_layers_c
 from estimators.loihi import LoihiLayer, LoihiNetwork
@@ -30,106 +25,27 @@ from estimators.networks.encoder import input_scaling
 from estimators.networks.forward import OnLoihi
 from estimators.networks.network import zero_states
 from estimators.networks.weights_file import load_network
-from quadsim.cli import main
 
 nir = pytest.importorskip("nir")
 torch = pytest.importorskip("torch")
+from imported_networks import (  # noqa: E402
+    delivered,
+    graph_of,
+    norse_lif,
+    norse_modules,
+    snntorch_graph,
+    snntorch_layers,
+    snntorch_recurrent,
+    spikes,
+    through,
+)
+
 from estimators.export.nir_layers import layers_of, read_graph  # noqa: E402
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore::DeprecationWarning"),
     pytest.mark.filterwarnings("ignore::UserWarning"),
 ]
-
-
-def spikes(steps, inputs, rate=0.2, seed=0):
-    return (np.random.default_rng(seed).random((1, steps, inputs)) < rate).astype(float)
-
-
-def through(path, graph):
-    """A graph that was written to a file and read again."""
-    nir.write(path, graph)
-    return read_graph(path)
-
-
-def stronger(network, factor=4.0):
-    """Larger weights than torch's first ones, so that all layers spike."""
-    with torch.no_grad():
-        for module in network.modules():
-            if isinstance(module, torch.nn.Linear):
-                module.weight *= factor
-    return network
-
-
-def snntorch_layers():
-    """Feed-forward, with both kinds of neurons that snnTorch's exporter knows."""
-    snn = pytest.importorskip("snntorch")
-    torch.manual_seed(1)
-    kept = {"init_hidden": True, "reset_mechanism": "zero", "reset_delay": False}
-    one = torch.ones
-    return stronger(
-        torch.nn.Sequential(
-            torch.nn.Flatten(),
-            torch.nn.Linear(20, 24),
-            snn.Leaky(beta=0.9 * one(24), threshold=one(24), **kept),
-            torch.nn.Linear(24, 10, bias=False),
-            snn.Synaptic(alpha=0.8 * one(10), beta=0.95 * one(10), threshold=one(10), output=True, **kept),
-        )
-    )
-
-
-class Recurrent(torch.nn.Module):
-    """The two recurrent neurons of snnTorch, which reset a step late, also with `reset_delay=False`."""
-
-    def __init__(self):
-        super().__init__()
-        snn = pytest.importorskip("snntorch")
-        kept = {"init_hidden": True, "reset_mechanism": "zero"}
-        self.fc1, self.fc2 = torch.nn.Linear(20, 24), torch.nn.Linear(24, 10, bias=False)
-        self.lif1 = snn.RLeaky(beta=0.9, linear_features=24, **kept)
-        one_to_one = {"all_to_all": False, "V": 0.3 * torch.ones(10)}
-        self.lif2 = snn.RSynaptic(alpha=0.8, beta=0.95, output=True, **one_to_one, **kept)
-
-    def forward(self, x):
-        return self.lif2(self.fc2(self.lif1(self.fc1(x))))[0]
-
-    def reset_at_once(self):
-        """Reset in the step of the spike, as in NIR."""
-        for each in (self.lif1, self.lif2):
-            each.mem = each.mem * (1 - each.spk)
-
-
-def snntorch_recurrent():
-    torch.manual_seed(2)
-    return stronger(Recurrent(), 3.0)
-
-
-def snntorch_graph(network, shape=(1, 20)):
-    exporter = pytest.importorskip("snntorch.export_nir")
-    # the example of the exporter would leave a state behind
-    return exporter.export_to_nir(copy.deepcopy(network), torch.rand(*shape), ignore_dims=[0])
-
-
-def norse_modules(neuron, size):
-    """Linear, spiking, linear, leaky integrator, as Norse's exporter takes them to a file."""
-    norse = pytest.importorskip("norse.torch")
-    torch.manual_seed(3)
-    rest = torch.zeros(10)
-    box = norse.LIBoxParameters(tau_mem_inv=50.0 * torch.ones(10), v_leak=rest)
-    readout = torch.nn.Linear(size, 10, bias=False)
-    modules = [torch.nn.Linear(20, size), neuron(norse), readout, norse.LIBoxCell(box)]
-    return stronger(norse.SequentialState(*modules), 20.0)
-
-
-def norse_lif(norse):
-    values = {"tau_mem_inv": torch.linspace(50.0, 200.0, 24), "v_th": torch.ones(24)}
-    zeros = {"v_leak": torch.zeros(24), "v_reset": torch.zeros(24)}
-    return norse.LIFBoxCell(norse.LIFBoxParameters(**values, **zeros))
-
-
-def delivered(x):
-    """What a tool has to be given to get what the chip's first layer gets: spikes, a step later."""
-    return torch.tensor(np.concatenate([np.zeros_like(x[0, :1]), x[0, :-1]]), dtype=torch.float32)
 
 
 def test_an_snntorch_network_spikes_the_same_in_our_floats(tmp_path):
@@ -204,9 +120,6 @@ def test_norses_importer_runs_a_graph_with_synapses_as_our_floats_do(tmp_path):
     np.testing.assert_array_equal(floats.spikes[0], expected)
 
 
-# --- on the chip ---------------------------------------------------------------------------------------
-
-
 def chip_and_floats(layers, x):
     network, floats = on_chip(layers, x)
     chip = run_chip(network, x)
@@ -262,24 +175,6 @@ def test_scales_leave_room_in_sums_currents_and_potentials():
         _, peaks = run_floats(layers, x, False)
         assert np.abs(chip.u[0]).max() <= 1.1 * network.ones[0] * peaks[0].u + 300 <= 1 << 22
         assert 4 * peaks[0].arriving * network.ones[0] <= 1 << 21
-
-
-def graph_of(recurrent=None, first=None, **values):
-    """Eight LIF neurons behind a linear node, with any value replaced."""
-    ones = np.ones(8)
-    weight = values.pop("weight", np.eye(8))
-    given = {"tau": 1e-3 * ones, "r": ones, "v_leak": 0 * ones, "v_threshold": ones, "v_reset": 0 * ones}
-    nodes = {
-        "in": nir.Input(np.array([weight.shape[1]])),
-        "w": first or nir.Linear(weight),
-        "lif": nir.LIF(**given | values),
-        "out": nir.Output(np.array([8])),
-    }
-    edges = [("in", "w"), ("w", "lif"), ("lif", "out")]
-    if recurrent:
-        nodes["rec"] = recurrent
-        edges += [("lif", "rec"), ("rec", "lif")]
-    return nir.NIRGraph(nodes, edges, type_check=False)
 
 
 def test_a_rest_that_is_not_zero_only_shifts_potentials():
@@ -360,9 +255,6 @@ def test_our_own_file_comes_back_as_the_integers_that_fly(tmp_path, name):
     assert agreement(floats.spikes, chip.spikes) > 0.5
 
 
-# --- C -------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("case", ["spikes", "encoded", "readout", "one encoded layer"])
 def test_the_c_code_equals_the_emulator_in_every_state_of_every_step(tmp_path, case):
     if case == "readout":
@@ -406,140 +298,3 @@ def test_the_c_code_equals_the_emulator_in_every_state_of_every_step(tmp_path, c
     done = subprocess.run([program], input=text, capture_output=True, check=True, text=True)
     assert done.stdout.splitlines() == lines
     assert done.stderr == ""
-
-
-# --- the verb, and what it refuses -----------------------------------------------------------------------
-
-
-def test_the_verb_writes_integers_c_and_a_report(tmp_path, monkeypatch, capsys):
-    graph = snntorch_graph(snntorch_recurrent())
-    nir.write(tmp_path / "a.nir", graph)
-    out = tmp_path / "chip"
-    command = ["quadsim", "export", str(tmp_path / "a.nir"), "--set", "dt=1e-4", "--set", "steps=200"]
-    monkeypatch.setattr("sys.argv", [*command, "--out", str(out)])
-    with pytest.raises(SystemExit) as stop:
-        main()
-    assert stop.value.code == 0
-    report = json.loads((out / "report.json").read_text())
-    last = capsys.readouterr().out.splitlines()[-1]
-    assert last == f"{out}: 1 of a chip's 128 cores, {report['agreement']:.1%} of spikes as in floats"
-    assert report["latency_steps"] == 2
-    assert report["energy_nJ_per_step"] > 1.0
-    assert [each["node"] for each in report["layers"]] == ["lif1.lif", "lif2.lif"]
-    tensors = load_file(out / "network.safetensors")
-    layers = [
-        LoihiLayer(**{name[2:]: each for name, each in tensors.items() if name.startswith(f"{k}.")})
-        for k in range(2)
-    ]
-    x = spikes(200, 20, 0.1, 0)[:1]
-    assert LoihiNetwork(layers).step(x[:, 0]).shape == (1, 10)
-    assert {each.name for each in out.iterdir()} == {
-        "network.safetensors", "network.c", "network.h", "main.c", "report.json",
-    }  # fmt: skip
-
-
-def test_runs_on_the_users_input_are_of_its_length_and_kind(tmp_path):
-    nir.write(tmp_path / "a.nir", graph_of(r=9.0 * np.ones(8)))
-    np.save(tmp_path / "x.npy", np.full((50, 8), 0.5))
-    settings = ImportSettings(dt=1e-4, input=str(tmp_path / "x.npy"))
-    report = import_nir(tmp_path / "a.nir", tmp_path / "out", settings)
-    assert report["latency_steps"] == 0
-    assert report["operations_per_step"]["synaptic event"] == 0
-    assert report["layers"][0]["spikes_per_step"] > 0.05
-
-
-def nodes_with(**nodes):
-    graph = graph_of()
-    graph.nodes |= nodes
-    return graph
-
-
-def branched():
-    graph = nodes_with(again=nir.Linear(np.eye(8)))
-    graph.edges += [("w", "again"), ("again", "out")]
-    return graph
-
-
-def between_layers():
-    graph = nodes_with(w2=nir.Linear(np.eye(8)), lif2=graph_of().nodes["lif"], back=nir.Linear(np.eye(8)))
-    graph.edges = [("in", "w"), ("w", "lif"), ("lif", "w2"), ("w2", "lif2"), ("lif2", "out")]
-    graph.edges += [("lif2", "back"), ("back", "lif")]
-    return graph
-
-
-def potentials_between():
-    graph = nodes_with(lif=nir.LI(tau=np.ones(8), r=np.ones(8), v_leak=np.zeros(8)), w2=nir.Linear(np.eye(8)))
-    graph.edges = [("in", "w"), ("w", "lif"), ("lif", "w2"), ("w2", "out")]
-    return graph
-
-
-NAN = np.diag([np.nan, *np.ones(7)])
-CONV = nir.Conv1d(
-    input_shape=8, weight=np.ones((1, 1, 3)), stride=1, padding=1, dilation=1, groups=1, bias=np.zeros(1)
-)
-REFUSED = {
-    'node "w" is a Conv1d, supported are Input, Output, Flatten, Affine': lambda: graph_of(first=CONV),
-    'node "w": weight has values that are not finite': lambda: graph_of(weight=NAN),
-    'node "w": weight of shape (8, 5) for 8 inputs': lambda: graph_of(first=nir.Linear(np.ones((8, 5)))),
-    'node "lif": v_reset is not v_leak': lambda: graph_of(v_reset=np.full(8, 0.2)),
-    'node "lif": v_threshold is not above v_leak': lambda: graph_of(v_threshold=np.zeros(8)),
-    'node "lif": tau has values that are not finite': lambda: graph_of(tau=np.full(8, np.nan)),
-    'node "lif": tau = 1e-05 s is below the step, dt = 0.0001 s': lambda: graph_of(tau=np.full(8, 1e-5)),
-    'node "w": scale has 3 values, should have 1 or 8': lambda: graph_of(first=nir.Scale(np.ones(3))),
-    'node "rec": weight of shape (8, 3) for 8 inputs': lambda: graph_of(nir.Linear(np.ones((8, 3)))),
-    'node "w" leads to 2 others or back; supported is one chain': branched,
-    'node "lif2" leads to 2 others or back; supported is one chain': between_layers,
-    'node "lif" sends potentials to "w2"; the chip sends spikes': potentials_between,
-    "1 nodes Input and 2 Output": lambda: nodes_with(more=nir.Output(np.array([8]))),
-    "20000 inputs and neurons, the emulator takes 8192": lambda: graph_of(weight=np.zeros((8, 20000))),
-    "5000 fan-in axons, a core has 4096: 904 too many": lambda: graph_of(weight=np.ones((8, 5000))),
-}
-
-
-@pytest.mark.parametrize("message", REFUSED)
-def test_what_the_chip_cannot_run_is_refused_in_a_line_that_names_the_node(
-    tmp_path, monkeypatch, capsys, message
-):
-    nir.write(tmp_path / "a.nir", REFUSED[message]())
-    command = ["quadsim", "export", str(tmp_path / "a.nir"), "--set", "dt=1e-4", "--set", "steps=10"]
-    monkeypatch.setattr("sys.argv", [*command, "--out", str(tmp_path / "out")])
-    with pytest.raises(SystemExit) as stop:
-        main()
-    assert stop.value.code == 2
-    said = capsys.readouterr().err
-    assert message in said
-    assert said.count("\n") == 1
-    assert not (tmp_path / "out").exists()
-
-
-def test_files_that_are_none_or_damaged_are_refused(tmp_path):
-    path, settings = tmp_path / "a.nir", ImportSettings(dt=1e-4)
-    nir.write(path, graph_of())
-    whole = path.read_bytes()
-    for content in (b"", b"text", whole[: len(whole) // 2], whole[:2000] + bytes(500) + whole[2500:]):
-        path.write_bytes(content)
-        with pytest.raises(ValueError, match=r"a\.nir: not a NIR graph, or damaged"):
-            import_nir(path, tmp_path / "out", settings)
-    with pytest.raises(FileNotFoundError, match="no such NIR file"):
-        import_nir(tmp_path / "b.nir", tmp_path / "out", settings)
-    path.write_bytes(whole)
-    with pytest.raises(ValueError, match="has no dt; give the step of its time constants"):
-        import_nir(path, tmp_path / "out", ImportSettings())
-    with pytest.raises(ValueError, match="exists already"):
-        import_nir(path, tmp_path, settings)
-    for content, message in (
-        (np.zeros((5, 3)), r"shape \(5, 3\), should be \(T, 8\)"),
-        (np.full((5, 8), 40.0), r"should be finite and within ±32\.00"),
-        (np.full((5, 8), np.nan), "should be finite"),
-        (np.array(["a"]), "not an array of numbers"),
-    ):
-        np.save(tmp_path / "x.npy", content)
-        with pytest.raises(ValueError, match=message):
-            import_nir(path, tmp_path / "out", ImportSettings(dt=1e-4, input=str(tmp_path / "x.npy")))
-
-
-def test_a_scale_that_does_not_suit_is_refused():
-    layers = layers_of(graph_of(), 1e-4)
-    _, peaks = run_floats(layers, spikes(20, 8), False)
-    with pytest.raises(ValueError, match='node "lif": bias_mant: value'):
-        quantise([layers[0]._replace(bias=np.full(8, 1e6))], peaks, one=2.0**14)
