@@ -93,7 +93,7 @@ def _compile(source: Path, lockstep: Path, folder: Path, program: Path) -> None:
         raise ValueError("betaflight's firmware is compiled by make and gcc, and there is no make") from error
     found = list((folder / "obj").glob("betaflight_*_SITL"))
     if made.returncode or not found:
-        errors = [line for line in made.stderr.splitlines() if "rror" in line] or [made.stderr[-200:]]
+        errors = [line for line in made.stderr.splitlines() if "error: " in line] or [made.stderr[-200:]]
         raise ValueError(f"betaflight's firmware cannot be compiled: {errors[0]}")
     shutil.copy2(found[0], program)
 

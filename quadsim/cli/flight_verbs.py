@@ -70,6 +70,8 @@ def fly(
     else:
         estimator = autopilot
     given = flight_conditions_of(set_)
+    if autopilot and given.tuning:
+        raise ValueError(f"--set tuning is for quadsim's filters, and --autopilot {autopilot} has its own")
     parts = (scenario, estimator, *filter(None, (given.vehicle, given.imu, given.tuning)))
     folder = out or Path("reports") / "-".join(["fly", *map(file_name, parts)])
     try:

@@ -82,7 +82,9 @@ def load_policy(source: str | Path) -> Policy:
         raise ValueError(f'unknown policy "{source}"; {nearest(str(source), policy_names())}, or a path')
     try:
         with safe_open(path, framework="numpy") as file:
-            spec = PolicySpec.model_validate_json((file.metadata() or {}).get("policy", ""))
+            if "policy" not in (about := file.metadata() or {}):
+                raise ValueError("it holds other weights")
+            spec = PolicySpec.model_validate_json(about["policy"])
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (not a mapping)
         numbers = range(len(tensors) // 2)
         return Policy(spec, [(tensors[f"weight_{k}"], tensors[f"bias_{k}"]) for k in numbers])
