@@ -113,8 +113,10 @@ def policy_of(model: OnPolicyAlgorithm, spec: PolicySpec) -> Policy:
     """The deterministic policy of an agent of PPO or A2C with `MlpPolicy`, as it would be written to a file.
 
     Raises:
-        ValueError: Its network has other layers than linear ones with tanh between them.
+        ValueError: Another kind of agent, or a network with other layers than linear ones with tanh between.
     """
+    if not hasattr(model.policy, "mlp_extractor"):
+        raise ValueError(f"{type(model).__name__} has no policy of the kind of PPO and A2C")
     layers = [*model.policy.mlp_extractor.policy_net.children(), model.policy.action_net]
     kinds = [type(each).__name__ for each in layers]
     if kinds != ["Linear", "Tanh"] * (len(layers) // 2) + ["Linear"]:
