@@ -119,7 +119,7 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
     | `duration_s`  | None       | length of an episode, instead of the scenario's                        |
     | `render_mode` | None       | "rgb_array" for pictures                                               |
     | `controller`  | None       | your own attitude controller, or weights                               |
-    | `randomisation` | None     | spread of the vehicle, the IMU, the wind and the delay, see above      |
+    | `randomisation` | None     | ranges of the vehicle, the IMU, the wind and the delay, see above      |
 
     `metadata["render_fps"]` is `rate_hz`, so that gymnasium's RecordVideo, which draws every step, plays in
     real time (it needs moviepy: `pip install 'quadsim[video]'`).

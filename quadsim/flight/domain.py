@@ -22,18 +22,18 @@ class Domain(NamedTuple):
 
 
 def domains(
-    vehicle: Vehicle, imu: ImuSpec, spread: Randomisation, seeds: Sequence[np.random.SeedSequence]
+    vehicle: Vehicle, imu: ImuSpec, ranges: Randomisation, seeds: Sequence[np.random.SeedSequence]
 ) -> list[Domain]:
-    """The domain of a flight for each seed, around a vehicle and an IMU; with no spread, these themselves."""
-    if spread == Randomisation():
+    """The domain of a flight for each seed, around a vehicle and an IMU; with ranges of zero, these themselves."""
+    if ranges == Randomisation():
         return [Domain(vehicle, imu)] * len(seeds)
-    return [_domain(vehicle, imu, spread, np.random.default_rng(seed)) for seed in seeds]
+    return [_domain(vehicle, imu, ranges, np.random.default_rng(seed)) for seed in seeds]
 
 
-def _domain(vehicle: Vehicle, imu: ImuSpec, spread: Randomisation, rng: np.random.Generator) -> Domain:
-    drawn = randomise(vehicle, spread, rng)
-    wind, delay = 1.0 + np.array([spread.wind, spread.delay]) * rng.uniform(-1.0, 1.0, 2)
-    return Domain(drawn, randomise_imu(imu, spread.imu, rng) if spread.imu else imu, wind, delay)
+def _domain(vehicle: Vehicle, imu: ImuSpec, ranges: Randomisation, rng: np.random.Generator) -> Domain:
+    drawn = randomise(vehicle, ranges, rng)
+    wind, delay = 1.0 + np.array([ranges.wind, ranges.delay]) * rng.uniform(-1.0, 1.0, 2)
+    return Domain(drawn, randomise_imu(imu, ranges.imu, rng) if ranges.imu else imu, wind, delay)
 
 
 def scale_wind(plans: NDArray[np.void], drawn: Sequence[Domain]) -> None:
