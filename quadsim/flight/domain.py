@@ -24,7 +24,7 @@ class Domain(NamedTuple):
 def domains(
     vehicle: Vehicle, imu: ImuSpec, ranges: Randomisation, seeds: Sequence[np.random.SeedSequence]
 ) -> list[Domain]:
-    """The domain of a flight for each seed, around a vehicle and an IMU; with ranges of zero, these themselves."""
+    """The domain of a flight for each seed, around a vehicle and an IMU; with no ranges, these."""
     if ranges == Randomisation():
         return [Domain(vehicle, imu)] * len(seeds)
     return [_domain(vehicle, imu, ranges, np.random.default_rng(seed)) for seed in seeds]
