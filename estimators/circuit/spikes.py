@@ -98,10 +98,8 @@ def run_circuit(gyro, accel, set_points, settings, numbers, states, out):
         if state.ring[0] == 0:
             _begin(state, circuit)
         for t in range(gyro.shape[1] // 3):
-            encode_sample(gyro[copy, 3 * t : 3 * t + 3], accel[copy, 3 * t : 3 * t + 3], scaling, row)
-            if state.ring[0] and resumed(row):
-                for q in range(gates):
-                    state.gate[q] = _clipped(state.gate[q] + circuit.levels[4, q])
+            part = slice(3 * t, 3 * t + 3)
+            _sense(gyro[copy, part], accel[copy, part], scaling, row, state, circuit)
             for _ in range(steps):
                 step(row, state, circuit, steps, spikes)
             for i in range(3):
@@ -132,12 +130,21 @@ def record_circuit(gyro, accel, settings, numbers, row, fired):
     _begin(state, circuit)
     for k in range(fired.shape[0]):
         if k % steps == 0:
-            encode_sample(gyro[k // steps], accel[k // steps], scaling, row)
+            _sense(gyro[k // steps], accel[k // steps], scaling, row, state, circuit)
         step(row, state, circuit, steps, spikes)
         fired[k, :passed] = spikes.vectors.ravel()
         fired[k, passed:opened] = state.passed.ravel()
         fired[k, opened:learnt] = spikes.gates
         fired[k, learnt:] = state.bias[2]
+
+
+@njit(inline="always")
+def _sense(gyro, accel, scaling, row, state, circuit):
+    """Take in one sample; the first one after a gap opens gates."""
+    encode_sample(gyro, accel, scaling, row)
+    if state.ring[0] and resumed(row):
+        for q in range(circuit.levels.shape[1]):
+            state.gate[q] = _clipped(state.gate[q] + circuit.levels[4, q])
 
 
 @njit(inline="always")

@@ -11,10 +11,10 @@ from estimators.circuit.circuit_records import EVENTS
 
 @pytest.fixture(scope="module")
 def readings():
-    """Gyroscope and accelerometer of two seconds of shaking, with a sample missing."""
+    """Gyroscope and accelerometer of two seconds of shaking, with a sample missing, and with a gap."""
     rng = np.random.default_rng(3)
     gyro, accel = rng.normal(0.0, 1.0, (400, 3)), rng.normal([0.0, 0.0, 9.81], 2.0, (400, 3))
-    gyro[50] = np.nan
+    gyro[50] = gyro[200:240] = np.nan
     return gyro, accel
 
 
