@@ -13,6 +13,9 @@ import numpy as np
 Seed: TypeAlias = int | np.random.SeedSequence | Sequence[np.random.SeedSequence]
 """A whole number, a seed sequence for a batch, or one seed sequence per vehicle."""
 
+TRAJECTORY, BODY, AIR, SENSOR, ANGLES, GROUND, PILOT, BEGINNING, FAULT, EXTERNAL = range(10)
+"""Children of a flight's seed: one for each component that draws from it, in every kind of flight."""
+
 
 def child(parent: np.random.SeedSequence, *key: int) -> np.random.SeedSequence:
     """Descendant of a seed sequence: `child(s, 2, 0)` is the first child of the third child of s."""

@@ -18,7 +18,7 @@ from ..estimator import AttitudeEstimator
 from ..external import ExternalSensor, ExternalSpec, load_external
 from ..imu.spec import load_imu
 from ..rotation import quat_from_euler, quat_from_rotvec, quat_multiply
-from ..seeding import children
+from ..seeding import AIR, BEGINNING, BODY, EXTERNAL, FAULT, SENSOR, TRAJECTORY, children
 from ..trajectory.reference import reference
 from ..trajectory.specs import Trajectory
 from ..vehicle import Randomisation, load_vehicle, with_drag
@@ -32,9 +32,6 @@ from .world import FLYING, PLAN
 
 Array = NDArray[np.float64]
 Seeds = Sequence[np.random.SeedSequence]
-
-TRAJECTORY, AIR, SENSOR, BEGINNING, FAULT, EXTERNAL, DOMAIN = range(7)
-"""Children of a flight's seed, one for each component that draws from it."""
 
 
 class Mission(FlightLoop):
@@ -131,7 +128,7 @@ class Mission(FlightLoop):
 
     def _drawn(self, seeds: Seeds) -> list[Domain]:
         spread = self.scenario.randomisation
-        return domains(self.vehicle, self._spec, spread, children(seeds, DOMAIN))
+        return domains(self.vehicle, self._spec, spread, children(seeds, BODY))
 
     def _plan(self, seeds: Seeds, drawn: Sequence[Domain]) -> NDArray[np.void]:
         """Set-points and winds of whole flights, (n, steps + 1) records of `PLAN`."""

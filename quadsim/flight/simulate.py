@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ..control.attitude_controller import MakeController
 from ..imu.stream import simulate_readings
 from ..motion.rotors import state_dtype
-from ..seeding import children
+from ..seeding import AIR, ANGLES, BODY, GROUND, SENSOR, TRAJECTORY, children
 from .domain import Domain, domains, scale_wind
 from .ground import start_on_ground
 from .hand_held import move_by_hand
@@ -19,8 +19,6 @@ from .recipe import Recipe
 Array = NDArray[np.float64]
 Seeds = Sequence[np.random.SeedSequence]
 
-MOTION, BODY, AIR, SENSOR, ANGLES, GROUND, PILOT = range(7)
-"""Children of a flight's seed, one for each component that draws from it; the last is for what flies it."""
 MAX_SPEED = 150.0  # m/s, and
 MAX_BODY_RATE = 150.0  # rad/s: a vehicle beyond either has diverged
 
@@ -44,7 +42,7 @@ def simulate_flights(
     log = np.zeros((len(seeds), steps), state_dtype(len(config.vehicle.rotors)))
     end = np.full(len(seeds), steps)
     if config.hand_held is not None:
-        motion = move_by_hand(config.hand_held, steps, rate_hz, children(seeds, MOTION))
+        motion = move_by_hand(config.hand_held, steps, rate_hz, children(seeds, TRAJECTORY))
         for name, values in motion.items():
             log[name] = values
     else:
@@ -86,7 +84,7 @@ def recipe_loop(
         log: Where the states are written, see `FlightLoop`.
         controller: Flies on the readings of the IMU; None for the cascade, which has the true body rate.
     """
-    path, air, angles = (children(seeds, part) for part in (MOTION, AIR, ANGLES))
+    path, air, angles = (children(seeds, part) for part in (TRAJECTORY, AIR, ANGLES))
     drawn = _domains(config, seeds)
     plans = planned(config.trajectory, config.wind, steps, rate_hz, path, air)
     scale_wind(plans, drawn)

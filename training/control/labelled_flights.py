@@ -17,10 +17,10 @@ from quadsim.control.attitude_controller import AttitudeController
 from quadsim.control.cascade import MAX_TRIM
 from quadsim.flight.loop import FlightLoop
 from quadsim.flight.recipe import Recipe
-from quadsim.flight.simulate import PILOT, recipe_loop
+from quadsim.flight.simulate import recipe_loop
 from quadsim.flight.world import FLYING
 from quadsim.rotation import quat_rotate
-from quadsim.seeding import children
+from quadsim.seeding import PILOT, children
 
 from .excitation import RATE_HZ, STANDARD, Array, Excitation, disturbance, excite_set_points
 
