@@ -16,7 +16,7 @@ from simulated import Generated, simulated
 from estimators.analysis.circuit import measure
 from estimators.circuit.circuit_estimator import SCALING, Silent, circuit_estimator
 from estimators.circuit.circuit_records import ANGLE_DIGITS, no_spikes, state_of
-from estimators.circuit.file import load_circuit
+from estimators.circuit.file import CircuitConfig, load_circuit
 from estimators.circuit.floats import new_trace, run_floats, stepped
 from estimators.circuit.on_chip import place, populations
 from estimators.circuit.parameters import GRAVITY, OUTPUT, RATE_HZ, Parameters, quantised, untrained
@@ -29,6 +29,7 @@ from estimators.networks.encoder import encode_sample
 from estimators.networks.network import NetworkEstimator, zero_states
 from quadsim.estimator import AttitudeEstimator
 from quadsim.runs.console import progress_bar
+from quadsim.runs.fingerprint import ASSETS
 
 Array = NDArray[np.float64]
 NAME = "att-snn"
@@ -56,6 +57,16 @@ FLOATS, SPIKES = "trained, floats", "trained, spikes"
 """Columns of the trained circuit; the spikes ship."""
 GATE_INPUTS = "gate inputs"
 """What the code calls felt: the signals that open a gate."""
+OTHERS = {
+    "seed 2": "seed-2",
+    "seed 3": "seed-3",
+    "4 vectors, 8 gates": "4-vectors-8-gates",
+    "4 vectors, 16 gates": "4-vectors-16-gates",
+    "5 vectors, 12 gates": "5-vectors-12-gates",
+}
+"""Other circuits of the same training, and their files in assets/weights/circuits/."""
+FRONT = {"Hummingbird": "o", "RotorPy": "s", "BROAD, real": "^", "Phantom 4, real": "D"}
+"""Sets whose errors are drawn against neurons and spikes."""
 SHOWN = 8
 """Neurons of a kind in the raster, those that spike most."""
 
@@ -70,6 +81,14 @@ def held(p: Parameters, flights: Flights) -> Parameters:
     run_floats(angle, force, np.zeros(angle[:, 0].shape, np.bool_), stepped(p), trace, senses)
     opened = np.clip(trace.opened, 0, 1).mean((0, 2))
     return p._replace(gate=0 * p.gate, level=opened.astype(np.float64), onset=p.onset + p.level - opened)
+
+
+def circuits() -> dict[str, tuple[CircuitConfig, Parameters]]:
+    """The circuit that ships, and those of other seeds and sizes."""
+    folder = ASSETS / "weights" / "circuits"
+    return {SPIKES: load_circuit(NAME)} | {
+        name: load_circuit(folder / f"{file}.safetensors") for name, file in OTHERS.items()
+    }
 
 
 def compared(home: Flights) -> dict[str, AttitudeEstimator]:
@@ -87,6 +106,7 @@ def compared(home: Flights) -> dict[str, AttitudeEstimator]:
         "1 step per sample": spiking(p, 1),
         "silenced: always level": NetworkEstimator(Silent(), RATE_HZ),
         **made_of(["att-snn-paper", "att-rnn-paper", "vqf", "imm"], RATE_HZ),
+        **{name: spiking(p, config.steps_per_sample) for name, (config, p) in circuits().items()},
     }
 
 
@@ -209,10 +229,34 @@ def by_steps(data: Path) -> tuple[list[Row], list[Row]]:
     return [(kind.replace("felt", GATE_INPUTS), amount) for kind, amount in shipped], rows
 
 
+def front(part: Part, data: Path, means: pd.DataFrame) -> list[Row]:
+    """Errors of other seeds and sizes against what they need on a chip: a table, and a picture."""
+    flights = [data / "test.zarr"]
+    rows, needs = [], []
+    for name, (config, p) in circuits().items():
+        size = sum(each.neurons for each in populations(quantised(p, config.steps_per_sample)))
+        spikes = sum(measure(config, p, flights).spikes.values())
+        rows.append((name.replace(SPIKES, "seed 1, ships"), size, f"{spikes:,.0f}", *means[name]))
+        needs.append((size, spikes))
+    figure = Figure(figsize=(9, 3.8), layout="constrained")
+    axes = figure.subplots(1, 2, sharey=True)
+    for across, label, needed in zip(
+        axes, ("neurons", "spikes per second"), zip(*needs, strict=True), strict=True
+    ):
+        for column, marker in FRONT.items():
+            across.plot(needed, means.loc[column, list(circuits())], marker, alpha=0.8, label=column)
+        across.set(xlabel=label, ylim=(0, None))
+    axes[0].set_ylabel("error [°]")
+    axes[1].legend(frameon=False)
+    part.save(figure, "circuit-front.png", dpi=120)
+    return rows
+
+
 def circuit(part: Part, given: Namespace) -> Values:
     """Measure everything, and draw."""
     errors = errors_by_set(given)
-    means = pd.DataFrame({name: each.mean(axis=1) for name, each in errors.items()}).T
+    every = pd.DataFrame({name: each.mean(axis=1) for name, each in errors.items()}).T
+    means = every.drop(columns=list(OTHERS))
     ends = [Summary(each.loc[SPIKES].to_numpy(float)).mean_interval() for each in errors.values()]
     costs = means[SPIKES] - means[FLOATS]
     turn(part)
@@ -221,6 +265,7 @@ def circuit(part: Part, given: Namespace) -> Values:
         "errors": means.assign(**{f"95 % interval of {SPIKES}": [span(*each) for each in ends]}).reset_index(
             names="flights or recordings"
         ),
+        "front": front(part, given.data, every),
         "neurons": neurons(),
         "spikes": spikes,
         "steps": steps,
