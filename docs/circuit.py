@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from errors import on_flights, on_recordings
-from foreign import foreign
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from pages import Part, Row, Values, span
-from simulated import Generated, simulated
+from simulated import Generated, foreign, simulated
 
 from estimators.analysis.circuit import measure
 from estimators.circuit.circuit_estimator import SCALING, Silent, circuit_estimator

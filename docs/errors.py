@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import xarray as xr
-from foreign import DESCRIPTION, PLAN, foreign
 from numpy.typing import NDArray
 from pages import Part, Row, Value, Values, number, reduce_colours
-from simulated import Generated, simulated
+from simulated import DESCRIPTION, PLAN, Generated, foreign, simulated
 
 from estimators import create
 from estimators.circuit.circuit_estimator import Silent

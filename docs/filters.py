@@ -8,10 +8,8 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 from errors import on_flights, with_silenced
-from foreign import DESCRIPTION, PLANS, foreign
-from foreign import DURATION_S as FOREIGN_S
 from pages import Part, Row, Values, span
-from simulated import DURATION_S, SETS, simulated
+from simulated import DESCRIPTION, DURATION_S, PLANS, ROTORPY_S, SETS, foreign, simulated
 
 from estimators import create, names
 from estimators.evaluation.comparison import Evaluation, behind_the_best, evaluate
@@ -162,7 +160,7 @@ def filters(part: Part, given: Namespace) -> Values:
         "slow": str(SLOW_FLIGHTS),
         "pieces": str(PIECES),
         "piece_s": f"{DURATION_S / PIECES:g}",
-        "foreign_piece_s": f"{FOREIGN_S / PIECES:g}",
+        "foreign_piece_s": f"{ROTORPY_S / PIECES:g}",
         "rotorpy": DESCRIPTION,
         "recovered": f"{RECOVERED_S:g}",
     }

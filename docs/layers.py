@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from errors import on_flights, with_silenced
-from foreign import DESCRIPTION, foreign
 from pages import Part, Row, Values, confirmed, span
-from simulated import simulated
+from simulated import DESCRIPTION, foreign, simulated
 
 from estimators import create, run
 from estimators.analysis.ablation import error_deg

@@ -1,5 +1,10 @@
-"""The simulated flights that pages score estimators on, generated where they are missing."""
+"""The flights that pages score estimators on, simulated where they are missing.
 
+Those of RotorPy, a simulator by other authors, take about three minutes of CPU time. Nothing was trained or
+tuned on them.
+"""
+
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -9,6 +14,9 @@ from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
 from quadsim.flight.recipe import Recipe, load_recipe
 from quadsim.flight.scenario import changed
+from quadsim.imu.spec import ImuSpec, load_imu
+from scenarios.task.rotorpy_flights import DURATION_S as ROTORPY_S
+from scenarios.task.rotorpy_flights import plans, rotorpy_flights
 
 DURATION_S = 100.0
 PX4 = {"vehicle": "px4-quad", "imu": "px4-mini", "trajectory": {"kind": "mix", "dash_s": (1.3, 3.0)}}
@@ -50,3 +58,23 @@ Hummingbird's of `val`."""
 def simulated(name: str, data: Path) -> xr.Dataset:
     """One of `SETS` from the folder of the datasets."""
     return SETS[name].at(data / f"{name}.zarr")
+
+
+ADIS16448 = load_imu("adis16448")
+PLANS = {airframe: plans(airframe, seed) for airframe, seed in (("hummingbird", 101), ("crazyflie", 201))}
+"""The flights of each airframe."""
+PLAN = (
+    f"{sum(map(len, PLANS.values()))} flights of {ROTORPY_S:g} s of "
+    "[RotorPy](https://github.com/spencerfolk/rotorpy)"
+)
+DESCRIPTION = (
+    f"{PLAN}, a simulator by other authors: its Hummingbird and "
+    "Crazyflie, its aerodynamics, wind, trajectories and controller, with our model of the IMU"
+)
+"""Of the flights, for the pages."""
+
+
+@cache
+def foreign(data: Path, imu: ImuSpec = ADIS16448) -> list[xr.Dataset]:
+    """RotorPy's flights, a dataset for each of `PLANS`; they are stored in the folder of the datasets."""
+    return [rotorpy_flights(plans, data / "rotorpy", imu) for plans in PLANS.values()]
