@@ -88,7 +88,7 @@ class ScoredLog:
         squares = inclination_error(self.estimates[name], self.flights.truth[0]) ** 2
         width = round(LOW_PASS_S * self.flights.rate_hz)
         blocks = [squares[k : k + width] for k in range(0, len(squares), width)]
-        return np.array([np.nanmean(block) for block in blocks if np.isfinite(block).any()])
+        return np.array([float(np.nanmean(block)) for block in blocks if np.isfinite(block).any()])
 
     def interval(self, name: str) -> Coverage:
         """How honest the interval of an estimator with beliefs is where the truth counts."""

@@ -59,7 +59,7 @@ def test_headline_names_estimators_that_do_not_differ_significantly_from_the_bes
     scores = score_logs(
         [log("long", seconds=80.0)], {"a": create("eskf"), "b": create("eskf")}, within_deg=90.0
     )
-    assert log_verdict(scores).headline.endswith("; the difference from b is not significant.")
+    assert log_verdict(scores).headline.endswith("RMSE (the difference from b is not significant).")
     one = scores.logs["long"]
     one.estimates["b"] = one.estimates["b"] + np.radians(5.0)
     assert not scores.tied
