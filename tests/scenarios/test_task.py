@@ -265,8 +265,8 @@ def test_the_command_runs_a_task_and_merges_folders(place, printed, refused, tmp
     shown = printed("report", place / "out" / "mahony", tmp_path / "other", "--out", tmp_path / "b.html")
     assert "IMU:" in shown
     assert "leads (2 entries are ranked)" in shown
-    assert "mahony is the only ranked entry" in printed(
-        "report", place / "out" / "mahony", "--out", tmp_path / "c.html"
+    alone = printed("report", place / "out" / "mahony", "--out", tmp_path / "c.html")
+    assert "mahony is the only ranked entry" in alone
     )
     assert "Of a colleague" in (tmp_path / "b.html").read_text()
     for more, why in {
