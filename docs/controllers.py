@@ -152,7 +152,7 @@ def step_figures(responses: dict[str, Array]) -> list[Row]:
         risen = mean > 0.9 * STEP_DEG
         rise = np.argmax(risen) / 200.0 if risen.any() else np.nan
         left = f"{np.abs(mean[-40:] - STEP_DEG).mean():.1f}"
-        rows.append((title, rise, f"{max(mean.max() / STEP_DEG - 1.0, 0.0):.0%}", left))
+        rows.append((title, rise, f"{100 * max(mean.max() / STEP_DEG - 1.0, 0.0):.0f} %", left))
     return rows
 
 

@@ -181,7 +181,7 @@ def counts(data: Path) -> Iterator[Row]:
             total = done.instructions.sum(axis=1)
             sizes = f"{size.flash / 1024:.1f}", f"{(size.ram + size.stack) / 1024:.1f}"
             steps = [f"{int(each):,}".replace(",", " ") for each in (np.median(total), total.max())]
-            share = f"{np.median(total) * RATE_HZ / CLOCK_HZ:.1%}"
+            share = f"{100 * np.median(total) * RATE_HZ / CLOCK_HZ:.1f} %"
             yield f"`{name}`", core.name, *steps, share, *sizes, f"{wrong} of {ours.size}"
 
 

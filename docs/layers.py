@@ -157,7 +157,13 @@ def chip_energy(core: OnLoihi, flights: Flights) -> list[Row]:
     """The energy model of the chip line by line, and its sum."""
     lines = costs(counts(core.cores, record(core, flights.gyro, flights.accel)))
     rows = [
-        (each.operation, f"{each.count:.1f}", f"{each.picojoules:g}", each.nanojoules, f"{each.share:.1%}")
+        (
+            each.operation,
+            f"{each.count:.1f}",
+            f"{each.picojoules:g}",
+            each.nanojoules,
+            f"{100 * each.share:.1f} %",
+        )
         for each in lines
     ]
     return [*rows, ("sum", "", "", sum(each.nanojoules for each in lines), "")]

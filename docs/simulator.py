@@ -152,7 +152,7 @@ def constants(found: dict[str, Identified]) -> list[Row]:
         if not true:
             return f"{each.fitted:.1g} (is 0)"
         used = "" if each.identified else ", not used"
-        return f"{each.fitted / true - 1:+.1%} (± {each.half_width / true:.1%}{used})"
+        return f"{100 * (each.fitted / true - 1):+.1f} % (± {100 * each.half_width / true:.1f} %{used})"
 
     return [(f"`{name}`", *(cell(airframe, name) for airframe in found)) for name in UNITS]
 
@@ -183,7 +183,7 @@ def identification(part: Part, given: Namespace) -> Values:
     return {
         "calibration": calibration(part),
         "constants": constants(found),
-        "explained": f"{least:.1%}",
+        "explained": f"{100 * least:.1f} %",
         "flights": str(FLIGHTS),
         "duration": f"{DURATION_S:g}",
     }

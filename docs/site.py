@@ -55,6 +55,9 @@ INSTALL = f"""```python
 """
 STAMP = re.compile(r"<!-- made by: [^>]*-->\n?")
 RANGE = re.compile(r"Annotated\[(\w+), Between\(low=(\S+), high=(\S+?)(?:, unit='(.*?)')?\)\]")
+VALIDATED = re.compile(r"Annotated\[((?:[^\[\],]|\[[^\[\]]*\])+), (?:\w+\((?:<[^>]*>|[^()<])*\)(?:, )?)+\]")
+"""A type with validators, which are no part of what a reader has to know."""
+REPEATED = re.compile(r"tuple\[([^,\[\]]+)((?:, \1)+)\]")
 ROWS = 5
 """Rows of the result table on the landing page."""
 
@@ -126,8 +129,8 @@ def toml_files() -> str:
     """Every key of every kind of file."""
     parts = [
         "# TOML files",
-        "Every key with its unit, range and default, from the models that check the files. An unknown key is "
-        "an error that names the nearest one.",
+        "This page lists every key with its unit, range and default. It is generated from the models that "
+        "check the files. An unknown key causes an error message that names the nearest valid key.",
     ]
     seen: set[type[BaseModel]] = set()
     for kind, (model, about) in KINDS.items():
@@ -143,7 +146,7 @@ def tables(model: type[BaseModel], seen: set[type[BaseModel]]) -> Iterator[str]:
     rows = [_row(key, field) for key, field in model.model_fields.items()]
     yield f"### {model.__name__}"
     yield _first_line(model)
-    yield "\n".join(["| key | what it is | type and range | default |", "|---|---|---|---|", *rows])
+    yield "\n".join(["| key | meaning | type and range | default |", "|---|---|---|---|", *rows])
     for field in model.model_fields.values():
         for inner in models_in(field.annotation):
             yield from tables(inner, seen)
@@ -152,6 +155,7 @@ def tables(model: type[BaseModel], seen: set[type[BaseModel]]) -> Iterator[str]:
 def _row(key: str, field: FieldInfo) -> str:
     kind = Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation
     about = field.description or next((_first_line(model) for model in models_in(field.annotation)), "")
+    about = about or "Selects this table." * (key == "kind")
     default = f"`{field.default!r:.60}`" if field.default_factory is None else "depends"
     default = "*required*" if field.is_required() else default
     return f"| `{field.alias or key}` | {_cell(about)} | {_cell(range_of(kind))} | {_cell(default)} |"
@@ -162,9 +166,12 @@ def _first_line(model: type[BaseModel]) -> str:
 
 
 def range_of(annotation: Any) -> str:
-    """A type as Python writes it; of a number its range and unit."""
+    """A type as Python writes it, without its validators; of a number its range and unit."""
     text = annotation.__name__ if isinstance(annotation, type) else str(annotation)
-    return RANGE.sub(r"\1 \2 to \3 \4", re.sub(r"\b(?:\w+\.)+(?=[A-Za-z])", "", text))
+    text = RANGE.sub(r"\1 \2 to \3 \4", re.sub(r"\b(?:\w+\.)+(?=[A-Za-z])", "", text))
+    text = re.sub(r" (?=[,\]]|$)", "", VALIDATED.sub(r"\1", text))
+    text = re.sub(r"Optional\[([^\[\]]+)\]", r"\1 or none", text)
+    return REPEATED.sub(lambda found: f"{found[2].count(',') + 1} × {found[1]}", text)
 
 
 def models_in(annotation: Any) -> Iterator[type[BaseModel]]:

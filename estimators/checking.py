@@ -60,7 +60,7 @@ def check_estimator(
 
 def _finite(make: Make) -> str:
     out = _estimates(make())
-    return "" if np.isfinite(out).all() else f"{np.mean(~np.isfinite(out)):.0%} of them are not"
+    return "" if np.isfinite(out).all() else f"{100 * np.mean(~np.isfinite(out)):.0f} % of them are not"
 
 
 def _at_rest(make: Make) -> str:

@@ -57,7 +57,7 @@ DEFAULT_RATE_HZ = 200.0
 
 
 def names() -> list[str]:
-    """Every name that `create` knows."""
+    """Names of all estimators."""
     return list(SHIPPED)
 
 

@@ -18,14 +18,14 @@ DEFAULT_DOMAIN, ANY_VEHICLE = "hummingbird-adis16448", "general"
 class Tuned(Strict):
     """Parameters of one estimator, and how they were found."""
 
-    command: str = Field(description="What made this table.")
-    vehicle: str = Field(default="", description="Name of the vehicle that flew; empty: not known.")
-    imu: str = Field(default="", description="Its IMU, a shipped one; empty: not known, or another.")
+    command: str = Field(description="Command that wrote this table.")
+    vehicle: str = Field(default="", description="Name of the vehicle; empty if unknown.")
+    imu: str = Field(default="", description="Name of the shipped IMU; empty if unknown or not shipped.")
     rate_hz: SampleRate = Field(description="Sample rate of the data [Hz].")
     rmse_deg: Annotated[float, Between(0.0, 360.0, "°")] = Field(
-        description="Root of the cost: of the mean squared error of roll and pitch [deg]."
+        description="Square root of the cost, which is the mean squared error of roll and pitch [deg]."
     )
-    evaluations: Annotated[int, Between(0, 10**12)] = Field(description="Parameter sets tried.")
+    evaluations: Annotated[int, Between(0, 10**12)] = Field(description="Number of evaluated parameter sets.")
     values: dict[str, Annotated[float, Between(-1e9, 1e9)]] = Field(description="The parameters.")
 
 

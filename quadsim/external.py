@@ -33,13 +33,13 @@ class ExternalSpec(Strict):
     """An external sensor; the defaults mean an ideal one: no noise, no delay, a measurement every sample."""
 
     rate_hz: Annotated[float, Between(0.01, 1e5, "Hz")] | None = None
-    """Measurements per second; left out, or above the loop's rate, one for every sample."""
+    """Measurements per second; default, and if above the loop's rate: one per sample."""
     delay_s: Delay = 0.0
-    """From the measurement until it can be used [s]; rounded to whole samples of the loop."""
+    """Delay of a measurement [s]; rounded to whole samples of the loop."""
     position_noise: Annotated[float, Between(0.0, 100.0, "m")] = 0.0
-    """Standard deviation on each axis [m]."""
+    """Standard deviation of the position on each axis [m]."""
     velocity_noise: Speed = 0.0
-    """Standard deviation on each axis [m/s], of what the sensor's own filter makes of its positions."""
+    """Standard deviation of the velocity on each axis [m/s], after the sensor's own filter."""
     yaw_noise_deg: Annotated[float, Between(0.0, 180.0, "°")] = 0.0
     """Standard deviation [deg]."""
 

@@ -11,24 +11,24 @@ Tilt = Annotated[float, Between(0.0, 55.0, "°")]
 
 
 class HeldOut(Strict):
-    """A file of `assets/held-out`."""
+    """A held-out suite: the ranges from which its scenarios are drawn."""
 
     release: str
-    """The version that is judged by it."""
+    """Release that uses this suite."""
     seed: Annotated[int, Between(0, 2**31)]
     """Of everything that is drawn; it and the `SEEDS` - 1 after it are refused elsewhere."""
     scenarios: Annotated[int, Between(1, 10_000)]
-    """How many are drawn."""
+    """Number of scenarios."""
     flights: Annotated[int, Between(1, 10_000)]
-    """Of each estimator in each of them."""
+    """Number of flights of each estimator in each scenario."""
     wind: Annotated[tuple[Speed, Speed], Rising]
     """Mean wind, from any side [m/s]."""
     wind_20ft: Annotated[tuple[Speed, Speed], Rising]
-    """Strength of Dryden turbulence, in half of them [m/s]."""
+    """Strength of Dryden turbulence, in half of the scenarios [m/s]."""
     period_s: Annotated[tuple[Duration, Duration], Rising]
     """Time of a lap of the figure of eight [s]."""
     tilt_deg: Annotated[tuple[Tilt, Tilt], Rising]
-    """Largest tilt that random manoeuvres ask for [deg]."""
+    """Largest commanded tilt of random manoeuvres [deg]."""
 
 
 def load_held_out(release: str) -> HeldOut:

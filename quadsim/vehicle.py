@@ -24,7 +24,7 @@ MIN_ROTORS, MAX_ROTORS = 4, 12
 
 
 class Rotor(Strict):
-    """One rotor: where it sits and which way it turns."""
+    """Position and sense of rotation of one rotor."""
 
     position: Arm = Field(description="Hub w.r.t. the centre of mass, body axes [m].")
     spin: Literal["cw", "ccw"] = Field(description="Sense of rotation seen from above.")
@@ -37,9 +37,9 @@ class Motor(Strict):
     k_m: Annotated[float, Between(1e-6, 10.0, "m")] = Field(description="Yaw torque per thrust [m].")
     omega_max: RotorSpeed = Field(description="Highest rotor speed [rad/s].")
     tau_up: Lag = Field(description="Time constant of the first-order lag when spinning up [s].")
-    tau_down: Lag = Field(description="The same when spinning down [s].")
+    tau_down: Lag = Field(description="Time constant of the first-order lag when spinning down [s].")
     rotor_drag: Annotated[float, Between(0.0, 1.0, "N s²/m")] = Field(
-        description="H-force −c |ω| V⊥ [N s²/m]."
+        description="H-force constant c of −c |ω| V⊥ [N s²/m]."
     )
     rolling_moment: Annotated[float, Between(0.0, 1.0, "N s²")] = Field(
         description="Rolling-moment constant c_r of −c_r |ω| V⊥ [N s²]."
@@ -50,7 +50,7 @@ class Frame(Strict):
     """The airframe: drag and outline."""
 
     drag_area: tuple[Area, Area, Area] = Field(description="C_d A per body axis, of −½ ρ C_d A |v| v [m²].")
-    size: tuple[Size, Size, Size] = Field(description="Half extents of the box that touches ground [m].")
+    size: tuple[Size, Size, Size] = Field(description="Half extents of the box that touches the ground [m].")
     prop_radius: Size = Field(description="Propeller radius, for pictures [m].")
 
 
@@ -58,13 +58,13 @@ class Gains(Strict):
     """Gains of the cascaded controller, made by `quadsim.control.gains.design` from phase margins."""
 
     rate: Gain = Field(description="Roll and pitch rate error to angular acceleration [1/s].")
-    rate_integral: IntegralGain = Field(description="Its integral action [1/s²].")
+    rate_integral: IntegralGain = Field(description="Integral action of the rate loop [1/s²].")
     yaw_rate: Gain = Field(description="Yaw rate error to angular acceleration [1/s].")
-    yaw_rate_integral: IntegralGain = Field(description="Its integral action [1/s²].")
+    yaw_rate_integral: IntegralGain = Field(description="Integral action of the yaw-rate loop [1/s²].")
     attitude: Gain = Field(description="Tilt error to roll and pitch rate [1/s].")
     yaw: Gain = Field(description="Yaw error to yaw rate [1/s].")
     velocity: Gain = Field(description="Velocity error to acceleration [1/s].")
-    velocity_integral: IntegralGain = Field(description="Its integral action [1/s²].")
+    velocity_integral: IntegralGain = Field(description="Integral action of the velocity loop [1/s²].")
     position: Gain = Field(description="Position error to velocity [1/s].")
 
 
@@ -75,10 +75,12 @@ class Vehicle(Strict):
     source: str = Field(description="Where the numbers come from.")
     mass: Mass = Field(description="Mass [kg].")
     inertia: tuple[Inertia, Inertia, Inertia] = Field(description="Principal moments of inertia [kg m²].")
-    rotors: tuple[Rotor, ...] = Field(min_length=MIN_ROTORS, max_length=MAX_ROTORS, description="Its rotors.")
+    rotors: tuple[Rotor, ...] = Field(min_length=MIN_ROTORS, max_length=MAX_ROTORS, description="The rotors.")
     motor: Motor
     frame: Frame
-    controller: Gains | None = Field(default=None, description="Gains; designed where they are left out.")
+    controller: Gains | None = Field(
+        default=None, description="Gains of the controller; default: designed for phase margins."
+    )
 
     @model_validator(mode="after")
     def _must_fly(self) -> "Vehicle":
@@ -160,16 +162,26 @@ class Randomisation(Strict):
     `randomise` draws the vehicle; `quadsim.flight.domain` the rest of a flight as well.
     """
 
-    mass: float = Field(default=0.0, ge=0, lt=0.5, description="Spread of the mass (the inertia follows).")
-    inertia: float = Field(default=0.0, ge=0, lt=0.5, description="Spread of the inertia beyond that.")
-    thrust: float = Field(default=0.0, ge=0, lt=0.5, description="Spread of k_f.")
-    torque: float = Field(default=0.0, ge=0, lt=0.5, description="Spread of k_m.")
-    rotor_drag: float = Field(default=0.0, ge=0, lt=1, description="Spread of the rotor-drag constant.")
-    frame_drag: float = Field(default=0.0, ge=0, lt=1, description="Spread of C_d A.")
-    motor_lag: float = Field(default=0.0, ge=0, lt=0.9, description="Spread of both motor time constants.")
-    imu: float = Field(default=0.0, ge=0, lt=1, description="Spread of each error of the IMU.")
-    wind: float = Field(default=0.0, ge=0, le=1, description="Spread of the wind's speed.")
-    delay: float = Field(default=0.0, ge=0, le=1, description="Spread of the external sensor's delay.")
+    mass: float = Field(
+        default=0.0, ge=0, lt=0.5, description="Relative half-width of the mass; the inertia scales with it."
+    )
+    inertia: float = Field(
+        default=0.0, ge=0, lt=0.5, description="Additional relative half-width of the inertia."
+    )
+    thrust: float = Field(default=0.0, ge=0, lt=0.5, description="Relative half-width of k_f.")
+    torque: float = Field(default=0.0, ge=0, lt=0.5, description="Relative half-width of k_m.")
+    rotor_drag: float = Field(
+        default=0.0, ge=0, lt=1, description="Relative half-width of the rotor-drag constant."
+    )
+    frame_drag: float = Field(default=0.0, ge=0, lt=1, description="Relative half-width of C_d A.")
+    motor_lag: float = Field(
+        default=0.0, ge=0, lt=0.9, description="Relative half-width of both motor time constants."
+    )
+    imu: float = Field(default=0.0, ge=0, lt=1, description="Relative half-width of each error of the IMU.")
+    wind: float = Field(default=0.0, ge=0, le=1, description="Relative half-width of the wind's speed.")
+    delay: float = Field(
+        default=0.0, ge=0, le=1, description="Relative half-width of the external sensor's delay."
+    )
 
 
 def randomise(vehicle: Vehicle, ranges: Randomisation, rng: np.random.Generator) -> Vehicle:

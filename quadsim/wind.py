@@ -52,17 +52,17 @@ class Constant(Strict):
 
 
 class Gust(Strict):
-    """A 1−cosine gust (MIL-F-8785C 3.7.3): up, hold, and down again as it came."""
+    """A 1−cosine gust (MIL-F-8785C 3.7.3) that rises, holds, and falls in the same way."""
 
     kind: Literal["gust"] = "gust"
     velocity: Wind
     """Velocity of the air at the peak, in world axes [m/s]."""
     start: Instant = 0.0
-    """When it begins [s]."""
+    """Start time [s]."""
     rise: Duration
-    """Time from nothing to the peak [s]: the gust length d_m over the airspeed."""
+    """Time from zero to the peak [s]: the gust length d_m divided by the airspeed."""
     hold: Instant | None = None
-    """Time at the peak [s]; left out, the gust stays, as in the specification."""
+    """Time at the peak [s]; default: the gust stays, as in the specification."""
 
     def series(self, time: Array) -> Array:
         """Velocity V_m / 2 (1 − cos(π (t − start) / rise)) while it rises (T, 3) at times (T,) [s]."""
@@ -115,7 +115,7 @@ class WindRecording(Strict):
 
     kind: Literal["file"] = "file"
     path: str
-    """The file; before its first row and after its last one these hold."""
+    """The CSV file; the first row holds before it, and the last row after it."""
 
     def series(self, time: Array) -> Array:
         """Velocity of the air (T, 3) at times (T,) [s]."""

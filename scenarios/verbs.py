@@ -18,7 +18,7 @@ from .bench.results import Results, load_results
 from .bench.runner import Changes, bench
 from .bench.verdict import verdict
 from .compilation import compile_estimators
-from .report.evaluation import columns, recorded_section
+from .report.evaluation import columns, evaluation_notes, recorded_section
 from .report.leaderboard import find_entries, flights_of, standing, write_leaderboard
 from .report.page import publish, write_report
 from .report.terminal import breaking_table, rows_table, standings_table
@@ -103,14 +103,20 @@ def has_entries(folder: Path) -> bool:
 
 
 def report_entries(folders: Sequence[Path], out: Path) -> None:
-    """Write the leaderboard of the entries in folders, and say who leads each track."""
+    """Write the leaderboard of the entries in folders, and say which entry leads each track."""
     entries = find_entries(folders)
     page = write_leaderboard(out, entries)
-    leaders = {}
+    leaders = []
     for track in sorted({each.card.track for each in entries}):
         own = [each for each in entries if each.card.track == track]
-        leaders[track] = next(iter(standing(own, flights_of(own))), "nobody")
-    say(f"{page}: " + "; ".join(f"{track}: {name} leads" for track, name in leaders.items()))
+        match standing(own, flights_of(own)):
+            case []:
+                leaders.append(f"{track}: no entry is ranked")
+            case [only]:
+                leaders.append(f"{track}: {only} is the only ranked entry")
+            case [first, *others]:
+                leaders.append(f"{track}: {first} leads ({len(others) + 1} entries are ranked)")
+    say(f"{page}: {'; '.join(leaders)}")
 
 
 def report_benchmark(folder: Path, out: Path | None = None) -> None:
@@ -132,12 +138,12 @@ def demo(out: Path, flights: int, seeds: int, seed: int, workers: int | None) ->
             scored = evaluate(open_dataset(path), names, slow_flights=SLOW_FLIGHTS, progress=bar)
         with progress_bar("fly", "cells") as bar:
             results = bench(DEMO, names, out, FlightSettings(seeds, seed), workers=workers, progress=bar)
-        caption = f"{flights} generated flights of {DEMO_S:g} s, without a loop."
-        output.print(rows_table(columns(scored.rows), caption))
+        caption = f"{flights} simulated flights of {DEMO_S:g} s, scored outside the loop."
+        output.print(rows_table(columns(scored), caption))
         page = write_report(
             out.expanduser() / "report.html",
             results,
-            recorded_section(scored.rows, caption),
+            recorded_section(scored, " ".join([caption, *evaluation_notes(scored)])),
             files=["results.csv", "flights.parquet"],
         )
     print_verdict(page, results)

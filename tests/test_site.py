@@ -38,6 +38,14 @@ def test_keys_of_files_have_ranges_units_and_defaults(site):
     assert "| `motor` | Constants shared by all rotors. | Motor | *required* |" in lines
 
 
+def test_types_of_keys_are_shown_without_validators(site):
+    text = site.toml_files()
+    assert "| 3 × float 0.0 to 10.0 m² | *required* |" in text
+    assert "| 2 × float 0.05 to 3600.0 s |" in text
+    assert "| float 0.001 to 100000.0 or none | `None` |" in text
+    assert not any(word in text for word in ("Annotated", "<function", "Validator", "MinLen"))
+
+
 def test_every_verb_has_its_section(site):
     text = site.command_line()
     assert all(f"## `quadsim {verb}`\n" in text for verb in ("generate", "bench", "report", "identify"))

@@ -50,7 +50,7 @@ OPTIMISATIONS = {
 
 
 class ControlSettings(Strict):
-    """Flights that a controller learns from: a teacher's, then its own, which the teacher labels."""
+    """Training flights of a controller: first those of a teacher, then its own, which the teacher labels."""
 
     recipe: str = "control"
     """Flights: a shipped recipe or a TOML file. Its vehicle and IMU are the controller's."""
@@ -59,18 +59,18 @@ class ControlSettings(Strict):
     error_scale: tuple[Scale, Scale, Scale] = (10.0, 10.0, 2.0)
     """Errors about roll, pitch and yaw that weigh the same in the loss [rad/s²]."""
     flights: Number = 24
-    """Flights by the teacher, which the first round learns from."""
+    """Number of flights by the teacher, for the first round."""
     flight_s: Annotated[float, Between(0.01, 60.0, "s")] = 16.0
     """Length of a flight [s]."""
     rounds: Annotated[int, Between(0, 100)] = 11
     """Further rounds, in each of which the student flies too and the teacher labels its flights (DAgger, Ross
     et al. 2011)."""
     round_flights: Number = 40
-    """Flights that each of them adds."""
+    """Number of flights that each further round adds."""
     teacher_share: Share = 0.3
-    """Share of the time at which the teacher flies in the first of them, to the power k in the k-th."""
+    """Share of the time for which the teacher flies: this number to the power k in further round k."""
     validation_flights: Number = 24
-    """Flights by the student alone after each epoch, to choose the best by."""
+    """Number of flights by the student alone after each epoch, which select the best epoch."""
 
 
 class TrainingRecipe(Layers):
@@ -82,7 +82,7 @@ class TrainingRecipe(Layers):
     inputs: InputScaling = PAPER_SCALING
     """Scaling of the six inputs."""
     fixed_taus: bool = False
-    """Train the weights alone and leave the time constants as they are at first (att-snn)."""
+    """Train only the weights and keep the initial time constants (att-snn)."""
     optimisation: Literal["paper", "layered"] = "paper"
     """The parameters, steps and end of the paper's published code; or parameters relative to their size,
     small steps of the later layers and a learning rate that falls (`training.config.OPTIMISATIONS`)."""
@@ -90,15 +90,15 @@ class TrainingRecipe(Layers):
     """Learning rate of Adam."""
 
     epochs: Number = 500
-    """Most epochs."""
+    """Maximum number of epochs."""
     batches: Number = 15
-    """Updates in an epoch."""
+    """Number of updates in an epoch."""
     batch_size: Number = 40
-    """Windows in a batch."""
+    """Number of windows in a batch."""
     window_s: Window = 10.0
     """Length of a window [s]."""
     windows_per_stream: Number = 1
-    """Most successive windows over which the network's state continues (truncated backpropagation)."""
+    """Maximum number of successive windows over which the state continues (truncated backpropagation)."""
     imu: NamedImu = ImuSpec(gyro=Sensor(noise=3.394e-4), accel=Sensor(noise=0.004, turn_on=0.196))
     """Sensor errors, drawn for every stream of an attitude estimator; the paper's are those of RotorS'
     ADIS16448."""
@@ -122,38 +122,38 @@ class FlightSet(Variant):
     """Flights of a recipe."""
 
     flights: dict[str, Number] = Field(min_length=1)
-    """How many of each vehicle."""
+    """Number of flights of each vehicle."""
 
 
 class CircuitTraining(Strict):
     """How a circuit is trained, as in `assets/presets/att-snn.toml`."""
 
     vectors: Annotated[int, Between(4, 64)] = 6
-    """Vectors that turn."""
+    """Number of rotating vectors."""
     gates: Annotated[int, Between(8, 256)] = 16
-    """Gated innovations."""
+    """Number of gated innovations."""
     streams: Number = 1536
-    """Streams that are drawn once, each with sensor errors of its own."""
+    """Number of streams; the sensor errors of each are drawn once."""
     window_s: Annotated[float, Between(0.1, 600.0, "s")] = 40.0
-    """Length of a stream, over which the gradient is exact [s]."""
+    """Length of a stream, over which exact gradients are computed [s]."""
     flight_sets: tuple[FlightSet, ...] = ()
-    """Flights of 60 s to learn from where no data are given."""
+    """Training flights of 60 s that are generated if no data are given."""
     hand_share: Share = 0.4
-    """Share of the streams that move in the hand, where there are both."""
+    """Share of hand-held streams, if the data contain hand-held motion and flight."""
     sway_share: Share = 0.7
-    """Share of the streams in the hand to which translation is added."""
+    """Share of the hand-held streams with additional translation."""
     calibrated_share: Share = 0.5
-    """Share of the streams whose biases, scales and mounting are the least part of those of the worst IMU."""
+    """Share of the streams with a calibrated IMU: a tenth of the biases, scale and mounting errors."""
     interrupted_share: Share = 0.15
-    """Share of the streams without samples for up to half a second, and with a few false rates."""
+    """Share of the streams with a gap of up to half a second and a few wrong rates."""
     known_share: Share = 0.35
-    """Share of the streams that begin with attitude and bias known, as the later parts of a flight do."""
+    """Share of the streams that begin with a known attitude and bias, like the later parts of a flight."""
     updates: Number = 6500
-    """Updates of the weights."""
+    """Number of updates of the weights."""
     batch_size: Annotated[int, Between(1, 1024)] = 16
-    """Streams in an update."""
+    """Number of streams in an update."""
     learning_rate: Annotated[float, Between(1e-6, 1.0)] = 0.02
-    """Of Adam, at its highest."""
+    """Highest learning rate of Adam."""
     imu: NamedImu = ImuSpec()
     """The worst IMU: each stream's has errors that are random parts of it (`training.circuit.imus`)."""
     init: str = ""

@@ -27,9 +27,9 @@ class CircuitConfig(Strict):
     """What a file says of a circuit beside its numbers."""
 
     vectors: Annotated[int, Between(4, 64)]
-    """Vectors that turn."""
+    """Number of rotating vectors."""
     gates: Annotated[int, Between(8, 256)]
-    """Gated innovations."""
+    """Number of gated innovations."""
     steps_per_sample: Literal[1, 2, 4] = 4
     """Steps of the chip for each IMU sample."""
     training: dict[str, JsonValue] = Field(default_factory=dict)

@@ -138,7 +138,7 @@ class SpikingController(BatchedNetwork):
         self._set_point[self._begin_again(ids)] = LEVEL
 
     def update(self, set_point: Array, gyro: Array, accel: Array, roll_pitch: Array) -> Array:
-        """What to ask of the rotors now.
+        """Compute the command for the rotors.
 
         Args:
             set_point: (n, 4) roll, pitch [rad], yaw rate [rad/s] and collective thrust per mass [m/s²].

@@ -77,7 +77,7 @@ class Coverage(NamedTuple):
     @property
     def text(self) -> str:
         """How many true angles are inside, and why that may not be reassuring."""
-        text = f"{self.inside:.0%} of the true angles are inside its 95 % interval"
+        text = f"{100 * self.inside:.0f} % of the true angles are inside its 95 % interval"
         figures = f"its median σ is {self.sigma_deg:.1f}° at an error of {self.rmse_deg:.1f}° RMS"
         if self.inside >= ALL or self.sigma_deg > WIDE * self.rmse_deg:
             return f"{text} only because the interval is wide: {figures}"

@@ -91,6 +91,11 @@ class Evaluation:
         """Rows of the table, with its columns as attributes."""
         return list(self.table.itertuples(index=False))
 
+    @property
+    def tilts_deg(self) -> list[float]:
+        """Tilts that estimators were started in; none if no flight has such a tilt and lasts long enough."""
+        return sorted({tilt for (_, tilt), curve in self.settling.items() if curve.size})
+
     def write_csv(self, path: Path) -> None:
         """Write the table."""
         write_csv(path, self.table.to_dict("records"))

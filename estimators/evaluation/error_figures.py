@@ -60,6 +60,8 @@ def settling(evaluation: Evaluation) -> Figure:
         for curve in evaluation.settling.values():
             axes.plot(_blocks(curve), curve, color="#d8d8d8", lw=0.6)
         for tilt, dash in zip(TILTS_DEG, ("-", "--"), strict=True):
+            if tilt not in evaluation.tilts_deg:
+                continue
             curve = evaluation.settling[name, tilt]
             axes.plot(_blocks(curve), curve, color=look.colour, ls=dash, lw=1.6, label=f"from {tilt:.0f}°")
         axes.axhline(SETTLED_DEG, color="black", linewidth=0.8, linestyle=":")

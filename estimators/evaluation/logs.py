@@ -24,7 +24,7 @@ from ..registry import FILTERPY, names, needs_vehicle
 from .beliefs import Beliefs, Coverage, beliefs
 from .comparison import COLUMNS, Evaluation, Progress, assessed, errors_of, failed, made_of
 from .flights import Flights, load_flights
-from .without_truth import LEVEL, Comparison, compare, motion
+from .without_truth import FEWEST, LEVEL, LOW_PASS_S, Comparison, compare, is_larger, motion
 
 Array = NDArray[np.float64]
 logger = logging.getLogger(__name__)
@@ -82,6 +82,13 @@ class ScoredLog:
         axes = [axis for axis, value in zip("xyz", self.bias.significant, strict=True) if value != 0.0]
         removed = f"{', '.join(axes)} removed" if axes else "not significant, nothing is removed"
         return f"gyro bias ({shown}) °/s at 95 %: {removed}"
+
+    def squares(self, name: str) -> Array:
+        """Mean squared inclination error in each block of 10 s in which samples count, (blocks,) [deg²]."""
+        squares = inclination_error(self.estimates[name], self.flights.truth[0]) ** 2
+        width = round(LOW_PASS_S * self.flights.rate_hz)
+        blocks = [squares[k : k + width] for k in range(0, len(squares), width)]
+        return np.array([float(np.nanmean(block)) for block in blocks if np.isfinite(block).any()])
 
     def interval(self, name: str) -> Coverage:
         """How honest the interval of an estimator with beliefs is where the truth counts."""
@@ -147,6 +154,21 @@ class LogScores(Evaluation):
     def ranked(self) -> list[str]:
         """Estimators that are ranked, without the level guess."""
         return [name for name in self.estimators if name != LEVEL and name not in self.unranked]
+
+    @property
+    def tied(self) -> list[str]:
+        """Ranked estimators whose squared error is not significantly larger than that of the best.
+
+        Blocks of 10 s are compared in pairs; with fewer than four blocks there are no ties.
+        """
+        best, *others = self.ranked
+        squares = {name: self._squares(name) for name in self.ranked}
+        if len(squares[best]) < FEWEST:
+            return []
+        return [name for name in others if not is_larger(squares[name], squares[best])]
+
+    def _squares(self, name: str) -> Array:
+        return np.concatenate([self.logs[log].squares(name) for log in self.headline])
 
     @cached_property
     def unranked(self) -> dict[str, str]:

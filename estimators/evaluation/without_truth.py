@@ -105,6 +105,12 @@ def horizontal_force(estimate: Array, gyro: Array, accel: Array, rate_hz: float)
     return quat_rotate(quat_from_roll_pitch(estimate, heading), np.nan_to_num(accel))[:, :2]
 
 
+def is_larger(values: Array, others: Array) -> bool:
+    """Whether the mean of values is significantly larger than that of others (paired, 95 %)."""
+    more = values - others
+    return bool(more.mean() > student.ppf(0.95, len(more) - 1) * more.std(ddof=1) / np.sqrt(len(more)))
+
+
 def _favoured(blocks: Mapping[str, Array], force: Mapping[str, float]) -> tuple[tuple[str, ...], str]:
     """The estimator of the smallest force and all that do not differ significantly from it (paired, 95 %).
 
@@ -120,9 +126,7 @@ def _favoured(blocks: Mapping[str, Array], force: Mapping[str, float]) -> tuple[
         return (), f"the log is shorter than {FEWEST * LOW_PASS_S:g} s"
     chosen = []
     for name, block in blocks.items():
-        more = block - blocks[best]
-        limit = student.ppf(0.95, len(more) - 1) * more.std(ddof=1) / np.sqrt(len(more))
-        if name == best or more.mean() <= limit:
+        if name == best or not is_larger(block, blocks[best]):
             chosen.append(name)
     if LEVEL in chosen:
         return (), "a level guess has no larger force"

@@ -40,32 +40,32 @@ CIRCUIT = "circuit-1"
 
 
 class InputScaling(Strict):
-    """What the network's inputs are: (reading - offset) / range, gyroscope first."""
+    """Scaling of the network's inputs: (reading - offset) / range, gyroscope first."""
 
     gyro: Annotated[float, Between(1e-3, 1e4, "rad/s")] = 2.5
-    """Body rate of an input of 1.0 [rad/s]."""
+    """Body rate that gives an input of 1.0 [rad/s]."""
     accel: tuple[ForceRange, ForceRange, ForceRange] = (1.0, 1.0, 4.0)
-    """Specific force, less the offset, of an input of 1.0 [m/s²]."""
+    """Specific force minus offset that gives an input of 1.0 [m/s²]."""
     accel_offset: ForceVector = (0.0, 0.0, 9.81)
-    """Specific force of an input of 0 [m/s²]."""
+    """Specific force that gives an input of 0 [m/s²]."""
 
 
 PAPER_SCALING = InputScaling(gyro=4.2, accel=(16.8, 16.8, 16.8), accel_offset=(0.0, 0.0, 0.0))
 
 
 class SetPointScaling(Strict):
-    """What a controller's set-points are as inputs: clipped to the limit, over the range."""
+    """Scaling of a controller's set-points: clipped to the limit and divided by the range."""
 
     tilt: Annotated[float, Between(1e-3, 10.0, "rad")] = 0.5
-    """Roll or pitch of an input of 1.0 [rad]."""
+    """Roll or pitch that gives an input of 1.0 [rad]."""
     yaw_rate: Annotated[float, Between(1e-3, 100.0, "rad/s")] = 1.5
-    """Yaw rate of an input of 1.0 [rad/s]."""
+    """Yaw rate that gives an input of 1.0 [rad/s]."""
     tilt_limit: Annotated[float, Between(1e-3, 3.14, "rad")] = 1.05
-    """Largest roll or pitch that is followed [rad]."""
+    """Largest roll or pitch [rad]; larger set-points are clipped."""
     yaw_rate_limit: Annotated[float, Between(1e-3, 100.0, "rad/s")] = 3.0
-    """Largest yaw rate that is followed [rad/s]."""
+    """Largest yaw rate [rad/s]; larger set-points are clipped."""
     bound: Annotated[float, Between(1e-3, 1e4, "rad/s²")] = 150.0
-    """Largest angular acceleration that is asked for about any axis [rad/s²]."""
+    """Largest commanded angular acceleration about any axis [rad/s²]."""
 
 
 class Layers(Strict):

@@ -221,7 +221,9 @@ def rare_neurons(numbers: Numbers, limit: float) -> Judged:
     before, after = inside["ablation"]["activity"][0], inside["without_rare"]["error_deg"]
     removed = 1 - inside["without_rare"]["neurons"] / sum(map(len, inside["rates"]))
     lossless = after < limit * before
-    measured = f"{removed:.0%} of the neurons removed; error {before:.2f}° before and {after:.2f}° after"
+    measured = (
+        f"{100 * removed:.0f} % of the neurons removed; error {before:.2f}° before and {after:.2f}° after"
+    )
     return lossless and removed >= 0.125, lossless, measured
 
 

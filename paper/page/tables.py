@@ -125,7 +125,7 @@ def recoveries(numbers: Numbers) -> str:
         for k, kind in enumerate(kind for kind in ("flight", "hover") if kind in each):
             times = each[kind]["times_s"]
             within = np.mean([time is not None for time in times])
-            cells[2 * k : 2 * k + 2] = [str(median_time(times)), f"{within:.0%}"]
+            cells[2 * k : 2 * k + 2] = [str(median_time(times)), f"{100 * within:.0f} %"]
         theirs = "< 1" if name in NETWORKS else "> 7" if name in SIX else "between"
         rows.append([_named(name), *cells, theirs if name in (*SIX, "complementary-adaptive") else "–"])
     header = "method | in flight [s] | share converged | in hover [s] | share converged | the paper [s]"
@@ -143,7 +143,7 @@ def activity(numbers: Numbers) -> str:
             ((rate > 0) & (rate < 0.005)).mean(),
             quoted["rare"][k],
         )
-        rows.append([layer, f"{rate.mean():.3f}", *(f"{share:.0%}" for share in shares)])
+        rows.append([layer, f"{rate.mean():.3f}", *(f"{100 * share:.0f} %" for share in shares)])
     header = (
         "layer | spikes per neuron and step | neurons that never spike | the paper | "
         "neurons that spike in less than 0.5 % of the steps | the paper"

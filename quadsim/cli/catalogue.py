@@ -32,7 +32,7 @@ def list_names(
 ) -> None:
     """List the names of scenarios, estimators, vehicles and so on, each with a description.
 
-    Your own TOML files are listed too, if they are in a folder of the working directory named after the
+    The list also includes your own TOML files in a folder of the working directory that is named after the
     kind, such as scenarios/.
 
     Example: quadsim list scenarios
@@ -41,7 +41,7 @@ def list_names(
 
     if kind not in HOW:
         raise ValueError(f'unknown kind "{kind}"; {nearest(kind, HOW)}')
-    table = Table("name", "what it is", box=None, pad_edge=False)
+    table = Table("name", "description", box=None, pad_edge=False)
     for row in _rows(kind):
         table.add_row(*row)
     output.print(table)

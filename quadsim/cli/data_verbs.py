@@ -30,8 +30,9 @@ def generate(
 ) -> None:
     """Generate labelled synthetic flights: IMU readings with true motion, biases and wind.
 
-    The default size is the paper's: 35 flights of 100 s at 200 Hz. It takes about ten seconds. To resume a
-    run that was stopped, repeat the command. The number of workers does not change the data.
+    The default size is the paper's: 35 flights of 100 s at 200 Hz. These flights take 5 to 15 seconds, and
+    up to a minute more at the first run, which compiles code. To resume a run that was stopped, repeat the
+    command. The number of workers does not change the data.
 
     Example: quadsim generate --flights 4 --duration 20 --out data/small.zarr
     """
@@ -74,14 +75,13 @@ def export(
             "network (FILE.nir)."
         ),
     ],
-    out: Annotated[Path, typer.Option(help="File or folder to write; it must not exist.")],
+    out: Annotated[Path, typer.Option(help="File or folder to write; it must not exist yet.")],
     format: Annotated[
         str | None,
         typer.Option(
             help="For a dataset: netcdf, parquet (one flat table), huggingface (a folder with its card), csv "
             "(EuRoC folders) or rosbag2. For weights: c99 (spiking networks), nir (networks of layers) or "
-            "onnx (GRU networks). "
-            "For logs: zarr (a dataset). FILE.nir needs none."
+            "onnx (GRU networks). For logs: zarr (a dataset). For FILE.nir, omit this option."
         ),
     ] = None,
     piece: Annotated[float, typer.Option(min=1, help="For logs: length of the pieces, in seconds.")] = 20.0,
@@ -103,7 +103,8 @@ def export(
     """Convert a dataset or a network to another tool's format, or logs to a dataset.
 
     A network in NIR, from Norse, snnTorch or another tool, is rounded to the integers of the emulated Loihi
-    and compared with floats. The folder gets the integers, C99 and a report: agreement, cores, energy.
+    and compared with floats. The folder then contains the integers, C99 files and a report on agreement,
+    cores and energy.
 
     Example: quadsim export att-snn --format c99 --out firmware/att_snn
 
@@ -159,7 +160,7 @@ def _import(source: list[str], out: Path, format: str | None, set_: list[str] | 
     print_table((name, _short(each)) for name, each in report.items() if not isinstance(each, (dict, list)))
     same = "no neuron spikes on this input"
     if report["agreement"] is not None:
-        same = f"{report['agreement']:.1%} of spikes as in floats"
+        same = f"{100 * report['agreement']:.1f} % of spikes as in floats"
     say(f"{out}: {report['cores']} of a chip's 128 cores, {same}")
 
 

@@ -26,13 +26,15 @@ def fly(
     autopilot: Annotated[
         str | None,
         typer.Option(
-            help="Firmware that flies in place of estimator and controller: betaflight, in angle mode, or "
-            "betaflight-rate. The first flight with it compiles it."
+            help="Firmware that replaces estimator and controller: betaflight (angle mode) or "
+            "betaflight-rate (rate mode). The first flight compiles the firmware."
         ),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder; default: reports/fly-SCENARIO-ESTIMATOR, with other choices appended."),
+        typer.Option(
+            help="Output folder; default: reports/fly-SCENARIO-ESTIMATOR, with other choices appended."
+        ),
     ] = None,
     duration: Duration = None,
     seeds: Annotated[int, typer.Option(min=1, max=10_000, help="Number of flights.")] = 1,
@@ -110,16 +112,16 @@ def bench(
     task: Annotated[
         str | None,
         typer.Option(
-            help="Task that each --estimator enters, attitude-1 or your own TOML file: writes its entry.json "
+            help="Task that each --estimator enters, attitude-1 or your own TOML file; writes its entry.json "
             "and a leaderboard. --set broad=FOLDER gives the trials of BROAD."
         ),
     ] = None,
     experiment: Annotated[
         str,
         typer.Option(
-            help="suite: all scenarios. axes: initial attitude, motion, drag, airframe and IMU are varied."
-            " held-out: scenarios drawn with held-out seeds. breaking-points: disturbances "
-            "at increasing levels. Or your own TOML file."
+            help="suite: all scenarios. axes: combinations of initial attitude, motion, drag, airframe and "
+            "IMU. held-out: scenarios drawn with held-out seeds. breaking-points: disturbances at increasing "
+            "levels. Or your own TOML file."
         ),
     ] = "suite",
     scenario: Annotated[
@@ -204,7 +206,7 @@ def demo(
     seed: Seed = 0,
     workers: Workers = None,
 ) -> None:
-    """Run a small demonstration: generate flights, score estimators on them, fly scenarios, report."""
+    """Run a small demonstration: generate flights, score estimators, fly scenarios, and write a report."""
     from scenarios.verbs import demo as run_demo
 
     run_demo(out, flights, seeds, seed, workers)

@@ -39,14 +39,14 @@ def identify(
     """Fit thrust, drag, motor lag and inertia of a vehicle to flights.
 
     First weigh the vehicle and measure the rotor positions, because flights determine only force per mass.
-    Fly aggressively, turn the heading, and fly fast for the drag. Rotor speeds are required, and for the drag
-    also attitude and position. A constant whose 95 % interval is wider than 5 % keeps its value; the output
-    names it.
+    Fly aggressively, turn the heading, and fly fast to excite the drag. The flights need rotor speeds; to fit
+    the drag, they also need attitude and position. A constant whose 95 % interval is wider than 5 % keeps its
+    value, and the output names it.
 
-    With --still, the command writes an IMU file for `generate --set imu=FILE`, from the Allan variance. A
-    bias and a noise density need 10 s at rest, and a bias random walk at least 60 s, better an hour. The time
-    constant of the random walk needs a log several times as long. What the log is
-    too short for is left out of the file and named in the output.
+    With --still, the command computes an IMU file for `generate --set imu=FILE` from the Allan variance. A
+    bias and a noise density need 10 s at rest. A bias random walk needs at least 60 s; an hour is better.
+    The time constant of the random walk needs a log several times as long as itself. If the log is too
+    short for a coefficient, the file omits it and the output names it.
 
     Example: quadsim identify data/flights.zarr --vehicle hummingbird --out mine.toml
 

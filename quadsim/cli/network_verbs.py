@@ -25,18 +25,18 @@ def train(
     data: Annotated[
         list[Path] | None,
         typer.Option(
-            help="Dataset to train on; repeat the option to mix several. Controllers need none; att-snn "
-            "generates its own flights if none is given."
+            help="Dataset to train on; repeat the option to mix several. Controllers need no dataset; "
+            "att-snn generates its own flights if none is given."
         ),
     ] = None,
     model: Annotated[
-        str, typer.Option(help="For networks of layers: att-snn, which spikes, or att-rnn, in floats.")
+        str, typer.Option(help="For networks of layers: att-snn (spiking) or att-rnn (in floats).")
     ] = "att-snn",
     preset: Annotated[
         str,
         typer.Option(
-            help="att-snn: a circuit like the one that ships, for any IMU. tune: trains it further on your "
-            "logs. paper: the paper's network of layers. control-attitude: a controller. Or a TOML file."
+            help="att-snn: a circuit like the shipped one, for any IMU. tune: trains the shipped circuit on "
+            "your logs. paper: the paper's network of layers. control-attitude: a controller. Or a TOML file."
         ),
     ] = "att-snn",
     validation: Annotated[
@@ -50,7 +50,10 @@ def train(
         int | None, typer.Option(min=1, help="Maximum number of epochs; default: the preset's.")
     ] = None,
     tensorboard: Annotated[
-        bool, typer.Option("--tensorboard", help="Write each epoch for TensorBoard as well, into the folder.")
+        bool,
+        typer.Option(
+            "--tensorboard", help="Also write the losses of each epoch to the folder, for TensorBoard."
+        ),
     ] = False,
     set_: Annotated[
         list[str] | None,
@@ -62,15 +65,15 @@ def train(
     ] = None,
     seed: LearningSeed = 0,
 ) -> None:
-    """Train a spiking network for the chip, or its twin in floats.
+    """Train a spiking network for the chip, or its counterpart in floats.
 
-    The preset att-snn trains a spiking circuit like the one that ships, for any IMU, from the equation of
-    gravity in a turning frame; tune continues the shipped one on your own logs. Other presets train networks
-    of layers: paper by the paper's recipe. control-attitude trains an attitude controller by imitation, on
-    flights of its own.
+    The preset att-snn trains a spiking circuit like the shipped one, for any IMU, starting from the
+    equation of gravity in a rotating frame. tune continues training the shipped circuit on your own logs.
+    paper trains a network of layers by the paper's recipe. control-attitude trains an attitude controller
+    by imitation, on flights that it generates.
 
-    The run folder gets the weights, the losses (log.csv) and their plot. Ctrl-C keeps what there is, and the
-    same command continues the run.
+    The run folder contains the weights, the losses (log.csv) and their plot. Ctrl-C stops the run and keeps
+    its results, and the same command continues it.
 
     Example: quadsim train --out runs/snn
 
@@ -126,7 +129,7 @@ def tune(
         int | None, typer.Option(min=1, help="Number of flights of each dataset; default: all.")
     ] = None,
     pieces: Annotated[
-        int, typer.Option(min=1, help="Parts of each flight; all but the first begin in motion.")
+        int, typer.Option(min=1, help="Number of parts of each flight; all but the first begin in motion.")
     ] = 1,
     initial: Annotated[
         Literal["unknown", "known"], typer.Option(help="Whether the filter is given its initial attitude.")

@@ -40,8 +40,8 @@ ConditionFields = Annotated[
         "--set",
         help="Condition of the flights, as name=value: vehicle, imu or external (a shipped name or a "
         "TOML file, in place of the scenarios'), tuning (filter parameters: a shipped name or a "
-        "file from quadsim tune), engine (auto, mujoco), rate (samples per second); of fly also flight "
-        "(the first one, by its number in flights.parquet of bench). "
+        "file from quadsim tune), engine (auto, mujoco), rate (samples per second). Only fly: flight "
+        "(number of the first flight, as in flights.parquet of bench). "
         "Repeat for more.",
     ),
 ]
@@ -55,21 +55,21 @@ Mount = Annotated[
     ),
 ]
 Truth = Annotated[
-    str | None, typer.Option(help="Topic or folder of the true attitude; default: the best in the log.")
+    str | None, typer.Option(help="Topic or folder of the true attitude; default: the best one in the log.")
 ]
 Imu = Annotated[str | None, typer.Option(help="Topic of the IMU in a ROS bag or MCAP.")]
-Force = Annotated[bool, typer.Option("--force", help="For logs: use them even if units or axes look wrong.")]
+Force = Annotated[bool, typer.Option("--force", help="Use logs even if their units or axes look wrong.")]
 Rerun = Annotated[
     Path | None,
-    typer.Option(help="Write a recording for the viewer rerun, .rrd, of the first flight or the log."),
+    typer.Option(help="Write the first flight or the log to a recording for the viewer rerun (.rrd)."),
 ]
 Mcap = Annotated[
-    Path | None, typer.Option(help="Write the same as MCAP, which Foxglove opens and quadsim reads as a log.")
+    Path | None, typer.Option(help="Write the first flight or the log to an MCAP file, for Foxglove.")
 ]
 Duration = Annotated[float | None, typer.Option(min=0.1, help="Length in seconds; default: the scenario's.")]
 OWN_CONTROLLER = (
     "Attitude controller: cascaded, a spiking controller's weights, or your own file.py:make, a function of "
-    "sample rate and vehicle. Any but cascaded replaces the cascade's loops of attitude and body rate."
+    "sample rate and vehicle. Other controllers than cascaded replace its attitude and body-rate loops."
 )
 
 

@@ -14,8 +14,8 @@ def report(
         list[str],
         typer.Argument(
             metavar="PATH...",
-            help="A folder of bench, a dataset (.zarr), weights (a file or a name), or a log; or folders of "
-            "bench --task.",
+            help="A folder written by bench, a dataset (.zarr), weights (a file or a name), or a log; or "
+            "folders written by bench --task.",
         ),
     ],
     out: Annotated[
@@ -27,7 +27,7 @@ def report(
     ] = False,
     data: Annotated[
         list[Path] | None,
-        typer.Option(help="For weights: dataset on which neurons are recorded; repeat for more."),
+        typer.Option(help="For weights: dataset on which to record the neurons; repeat for more."),
     ] = None,
     mount: Mount = None,
     truth: Truth = None,
@@ -42,13 +42,14 @@ def report(
 ) -> None:
     """Show a benchmark, a dataset, weights or a log, depending on PATH.
 
-    Benchmark: writes its report again. Folders of bench --task: writes one leaderboard of all their entries.
-    Dataset: prints its contents; with --out, draws its distributions (the paper's Fig. 3) and one flight.
-    Weights of an Att-SNN: prints how many of the chip's cores it needs; with --data, also its spikes,
-    operations, modelled energy and error on these flights. Log: prints its contents, its problems, and which
-    signal is used as the truth.
+    For a benchmark, the command writes the report again. For folders of bench --task, it writes one
+    leaderboard of all entries. For a dataset, it prints the contents; with --out, it draws the
+    distributions (the paper's Fig. 3) and one flight. For weights of an Att-SNN, it prints how many of the
+    chip's cores the network needs; with --data, also the spikes, operations, modelled energy and error on
+    these flights. For a log, it prints the contents, the problems, and the signal that is used as the
+    truth.
 
-    Opening a dataset compares files with their digests only if the size or the time stamp of a file has
+    A dataset's files are compared with their digests only if the size or the time stamp of a file has
     changed; --verify always compares them.
 
     Example: quadsim report reports/bench

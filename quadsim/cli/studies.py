@@ -16,7 +16,8 @@ def evaluate(
         typer.Option(help="Dataset to score on; use flights that were not used for training or tuning."),
     ] = None,
     logs: Annotated[
-        list[Path] | None, typer.Option(help="Real log, instead of --data; repeat the option to add more.")
+        list[Path] | None,
+        typer.Option(help="Log to score on, instead of --data; repeat the option to add more."),
     ] = None,
     estimator: Annotated[
         list[str] | None,
@@ -34,8 +35,8 @@ def evaluate(
         typer.Option(
             "--set",
             help="Parameters of filters, as name=value: tuning (a shipped name or a file from quadsim tune; "
-            "default: the vehicle's) or vehicle (for ekf-drag: a shipped name or a TOML file; default: the "
-            "dataset's, for logs none). Repeat for more.",
+            "default: those of the vehicle) or vehicle (for ekf-drag: a shipped name or a TOML file; "
+            "default: the dataset's vehicle; logs have no default). Repeat for more.",
         ),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for table, figures and report.")] = Path(
@@ -44,16 +45,17 @@ def evaluate(
     force: Force = False,
     seed: Seed = 0,
 ) -> None:
-    """Compare estimators on recorded flights: errors with confidence intervals, convergence, run time.
+    """Compare estimators on stored flights or logs: errors with confidence intervals, convergence, run time.
 
-    Each estimator is compared with the best one flight by flight. Estimators that are not significantly
-    different from it are tied. A network is shown beside the same network silenced (output weights of zero).
+    Each estimator is compared with the best one flight by flight. Estimators are tied if the difference is
+    not significant. For each network, the table also gives the error of the silenced network (output
+    weights of zero).
 
-    For a dataset, the folder gets evaluation.csv, figures of errors and convergence, and report.html. For
-    logs, it gets logs.csv, whose row "level" shows how far the log is from level, and report.html with
+    For a dataset, the command writes evaluation.csv, figures of errors and convergence, and report.html. For
+    logs, it writes logs.csv, whose row "level" shows how far the log is from level, and report.html with
     readings, attitudes and errors on one time axis.
 
-    If a dataset or a log has rotor speeds, imm and your own estimators can use them.
+    If a dataset or a log contains rotor speeds, imm and your own estimators can use them.
 
     Example: quadsim evaluate --data data/test.zarr --estimator mahony --estimator att-snn-loihi
 
@@ -109,8 +111,8 @@ def paper(
     The paper is Stroobants, Dupeyroux and de Croon (2022). All data is simulated: the command generates
     flights, tunes filters, and trains and flies networks. It writes paper.md with its figures.
 
-    quick takes some minutes on two cores and judges no claims. full takes a night. Finished parts are stored
-    in the folder, so the same command resumes a run that was stopped.
+    The preset quick takes some minutes on two cores and judges no claims; full takes a night. Finished
+    parts are stored in the folder, so the same command resumes a run that was stopped.
 
     Example: quadsim paper --out reports/paper --only table2,fig6
     """

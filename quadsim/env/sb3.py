@@ -85,7 +85,7 @@ class SB3VecEnv(VecEnv):
             self.batch.actions[i] = 0.0
 
     def close(self) -> None:
-        """Free what rendering took."""
+        """Release the resources of rendering."""
         self.batch.close()
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:

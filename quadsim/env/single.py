@@ -193,7 +193,7 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
         return None if pictures is None else pictures[0]
 
     def close(self) -> None:
-        """Free what rendering took."""
+        """Release the resources of rendering."""
         self._batch.close_extras()
 
     def __reduce__(self) -> NoReturn:

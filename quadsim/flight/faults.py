@@ -34,21 +34,21 @@ class Lasting(Strict):
     """A fault that stays."""
 
     at_s: Instant = 0.0
-    """From when on [s]."""
+    """Start time [s]."""
 
 
 class OnAxes(Strict):
     """A fault of the sensors' readings on some of their axes; the others stay as they are."""
 
     axes: Literal["x", "y", "z", "xy", "xz", "yz", "xyz"] = "xyz"
-    """Axes of the body that it acts on."""
+    """Affected body axes."""
 
 
 class OnSensor(OnAxes):
     """A fault of one sensor of the IMU or of both."""
 
     sensor: Literal["both", "gyro", "accel"] = "both"
-    """Sensor that it acts on."""
+    """Affected sensor."""
 
 
 def _added(gyro_deg: ArrayLike, accel: ArrayLike, after: int, length: float = 1.0) -> Change:
@@ -106,7 +106,7 @@ class Vibration(OnAxes, Lasting):
 
 
 class Dropout(OnSensor, Lasting):
-    """Samples are lost: each with a probability, for a time of its own length. The estimator gets NaN."""
+    """Samples are lost at random, each dropout for a fixed time. The estimator receives NaN."""
 
     kind: Literal["dropout"]
     probability: Share
@@ -133,9 +133,9 @@ class Stuck(OnSensor, Event):
 
     kind: Literal["stuck"]
     length_s: Duration = 0.2
-    """For how long [s]."""
+    """Duration [s]."""
     every_s: Duration | None = None
-    """Again after so long [s]; left out, once."""
+    """Period of repetition [s]; default: only once."""
 
     def _change(self, rate_hz: float, randoms: Randoms) -> Change:
         start, length = round(self.at_s * rate_hz), max(round(self.length_s * rate_hz), 1)
@@ -178,7 +178,7 @@ class BiasRamp(Lasting):
     accel: ForceVector = (0.0, 0.0, 0.0)
     """Change of the accelerometer's bias at the end, body axes [m/s²]."""
     length_s: Duration = 10.0
-    """How long it takes [s]."""
+    """Duration [s]."""
 
     def _change(self, rate_hz: float, randoms: Randoms) -> Change:
         return _added(self.gyro_deg, self.accel, round(self.at_s * rate_hz), self.length_s * rate_hz)
@@ -189,7 +189,7 @@ class Delay(OnSensor):
 
     kind: Literal["delay"]
     delay_s: Annotated[float, Between(0.0, 1.0, "s")]
-    """By how much; rounded to whole samples [s]."""
+    """Delay, rounded to whole samples [s]."""
 
     def _change(self, rate_hz: float, randoms: Randoms) -> Change:
         line = np.zeros((round(self.delay_s * rate_hz) + 1, len(randoms), 6))

@@ -21,14 +21,14 @@ Stretch = Annotated[float, Between(0.05, 60.0, "s")]
 
 
 class GroundStart(Strict):
-    """A start on the ground; each flight draws its own numbers."""
+    """A start on the ground, with numbers that are drawn for each flight."""
 
     stand_s: Annotated[tuple[Stretch, Stretch], Rising] = (1.0, 5.0)
-    """Range of the time at rest with rotors that stand [s]."""
+    """Range of the time at rest with stopped rotors [s]."""
     spin_up_s: Annotated[tuple[Stretch, Stretch], Rising] = (0.5, 3.0)
-    """Range of the time in which they reach their speed of flight [s]."""
+    """Range of the spin-up time of the rotors [s]."""
     lift_off_s: Annotated[tuple[Stretch, Stretch], Rising] = (0.5, 1.5)
-    """Range of the time from rest to the motion of the flight [s]."""
+    """Range of the time from lift-off to the motion of the flight [s]."""
     slope_deg: Annotated[float, Between(0.0, 30.0, "°")] = 4.0
     """Largest slope of the ground [deg]."""
 

@@ -43,7 +43,7 @@ class HandHeld(Strict):
     rate_deg_s: Annotated[tuple[Turn, Turn], Rising] = (20.0, 200.0)
     """Range of the root mean square of the body rate, per axis [deg/s]."""
     acceleration: Annotated[tuple[Push, Push], Rising] = (0.3, 6.0)
-    """Range of that of the acceleration, per axis [m/s²]."""
+    """Range of the root mean square of the acceleration, per axis [m/s²]."""
     move_s: Annotated[tuple[Stretch, Stretch], Rising] = (5.0, 30.0)
     """Range of the length of a motion [s]."""
     rest_s: Annotated[tuple[Stretch, Stretch], Rising] = (1.0, 8.0)

@@ -20,7 +20,7 @@ from .hand_held import HandHeld
 
 
 class AttitudeError(Strict):
-    """Errors in the roll and pitch that the controller gets, as an estimator in the loop would make them.
+    """Errors of the roll and pitch that the controller receives, like those of an estimator in the loop.
 
     First-order Gauss-Markov on each angle. The vehicle then swings as it does on a real estimator.
     """
@@ -61,7 +61,7 @@ class Recipe(Strict):
     """A kind of flight to generate: a domain for training and testing, stored whole in every dataset."""
 
     description: str = Field(default="", exclude=True)
-    """What these flights are for, in a sentence."""
+    """Purpose of these flights, in one sentence."""
     vehicle: Annotated[Vehicle, _by_name(load_vehicle, Vehicle)] = Field(
         default="hummingbird", validate_default=True
     )
@@ -73,17 +73,17 @@ class Recipe(Strict):
     wind: tuple[WindSpec, ...] = ()
     """Winds, added up."""
     randomisation: Randomisation = Randomisation()
-    """Spread of the numbers of vehicle, IMU and wind, drawn for each flight."""
+    """Ranges of the parameters of vehicle, IMU and wind, which are drawn for each flight."""
     attitude_error: AttitudeError = AttitudeError()
-    """Error of the roll and pitch that the controller gets."""
+    """Error of the roll and pitch that the controller receives."""
     hand_held: HandHeld | None = None
-    """Motion by hand, in place of a flight: the IMU alone, rotors at rest."""
+    """Motion by hand instead of a flight: an IMU without a vehicle."""
     ground: GroundStart | None = None
-    """A start at rest on the ground, before the flight; its end falls away."""
+    """Ground phase before the flight; the same number of samples is dropped from its end."""
     engine: Engine = "auto"
     """What integrates the motion: "mujoco", or "auto", its scheme for free flight, compiled."""
     warmup_s: Annotated[float, Between(0.0, 60.0, "s")] = 4.0
-    """Simulated before recording, so that flights begin in motion [s]."""
+    """Time that is simulated before the recording, so that flights begin in motion [s]."""
 
     @model_validator(mode="after")
     def _has_no_delay(self) -> "Recipe":
@@ -98,7 +98,7 @@ class Variant(Strict):
     recipe: str
     """A shipped recipe, or a TOML file."""
     changes: dict[str, Any] = Field(default={})
-    """Keys of the recipe that differ; of a table, only those that are named change."""
+    """Changed keys of the recipe; other keys of a table keep their values."""
 
 
 def load_recipe(source: str | Path) -> Recipe:

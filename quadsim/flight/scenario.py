@@ -25,31 +25,31 @@ class Start(Strict):
     speed: Speed = 0.0
     """Horizontal speed on top of the set-point's, in a direction drawn for each seed [m/s]."""
     tilt_deg: Annotated[float, Between(0.0, 90.0, "°")] = 0.0
-    """Tilt, about a horizontal axis drawn for each seed [deg]."""
+    """Initial tilt, about a horizontal axis drawn for each seed [deg]."""
     rate_deg: RateDeg = 0.0
-    """Size of the body rate, about a horizontal axis drawn for each seed [deg/s]."""
+    """Initial body rate, about a horizontal axis drawn for each seed [deg/s]."""
     known_attitude: bool = False
     """Whether the initial attitude is given to the estimator; otherwise it starts level."""
     attitude_error_deg: Annotated[float, Between(0.0, 90.0, "°")] = 0.0
-    """Error of the attitude that is given, about a horizontal axis drawn for each seed [deg]."""
+    """Error of the given initial attitude, about a horizontal axis drawn for each seed [deg]."""
 
 
 class Crash(Strict):
-    """A flight has crashed at the first instant at which any of these holds; what follows is not counted."""
+    """Limits of a flight. It crashes when one of them is exceeded; later samples do not count."""
 
     tilt_deg: Annotated[float, Between(1.0, 180.0, "°")] = 75.0
-    """Tilt beyond which a flight counts as lost: the controller asks for 60° at most [deg]."""
+    """Largest tilt [deg]; the controller commands at most 60°."""
     altitude: Coordinate = 0.0
-    """Height of the centre of mass below which the ground is hit, world z [m]."""
+    """Smallest height of the centre of mass, world z [m]."""
     distance: Distance = 10.0
-    """Distance from the set-point beyond which the vehicle is out of bounds [m]."""
+    """Largest distance from the set-point [m]."""
 
 
 class Scenario(Strict):
-    """One flight situation, to be simulated with any estimator and any number of seeds."""
+    """A situation in flight, which can be simulated with any estimator and any number of seeds."""
 
     description: str
-    """What it asks of an estimator, in a sentence; shown in reports."""
+    """The difficulty for an estimator, in one sentence; shown in reports."""
     duration_s: Annotated[float, Between(1e-3, 3600.0, "s")] = 20.0
     """Length of a flight [s]."""
     vehicle: str = "hummingbird"
@@ -57,13 +57,13 @@ class Scenario(Strict):
     imu: str = "adis16448"
     """A shipped IMU, or the path of a TOML file."""
     drag_factor: Annotated[float, Between(0.0, 100.0)] = 1.0
-    """The airframe's drag over that of the vehicle's file, which is what estimators are given."""
+    """True drag divided by that of the vehicle's file, which estimators receive."""
     vehicle_known: bool = True
-    """Whether estimators are given the vehicle; without it, those that need one do not fly."""
+    """Whether estimators receive the vehicle; if not, estimators that need one do not fly."""
     external: str = "ideal"
-    """Where position, velocity and yaw come from: a shipped external sensor, or the path of a TOML file."""
+    """Source of position, velocity and yaw: a shipped external sensor, or the path of a TOML file."""
     contact: bool = False
-    """Whether the ground can be touched, at five times the cost; otherwise to reach it is to crash."""
+    """Whether the ground can be touched, at five times the cost; otherwise, touching it is a crash."""
     engine: Engine = "auto"
     """What integrates the motion: "mujoco", or "auto", its scheme for free flight, compiled."""
     trajectory: Trajectory = Hover()
@@ -71,13 +71,13 @@ class Scenario(Strict):
     wind: tuple[WindSpec, ...] = ()
     """Winds, added up."""
     randomisation: Randomisation = Randomisation()
-    """Spread of the numbers of vehicle, IMU, wind and delay, drawn for each flight."""
+    """Ranges of the parameters of vehicle, IMU, wind and delay, which are drawn for each flight."""
     start: Start = Start()
     """How a flight begins."""
     faults: tuple[Fault, ...] = ()
-    """What goes wrong, in the order in which it acts on a sample."""
+    """Faults, in the order in which they act on a sample."""
     crash: Crash = Crash()
-    """What counts as a crash."""
+    """Limits beyond which a flight has crashed."""
 
 
 def load_scenario(source: str | Path) -> Scenario:

@@ -16,19 +16,19 @@ class Event(Strict):
     """A fault that happens at one instant."""
 
     at_s: Instant = 5.0
-    """When [s]."""
+    """Time of the event [s]."""
 
 
 class LeverArm(Strict):
-    """The IMU sits off the centre of mass, and no estimator knows it."""
+    """The IMU is not at the centre of mass, and no estimator knows this."""
 
     kind: Literal["lever-arm"]
     position: Arm
-    """Where, on top of the IMU's own, from the centre of mass in body axes [m]."""
+    """Displacement in addition to the IMU's own `lever_arm`, in body axes [m]."""
 
 
 class PayloadDrop(Event):
-    """The vehicle starts with a payload that its controller does not know of, and drops it."""
+    """The vehicle starts with a payload that the controller does not know, and drops it."""
 
     kind: Literal["payload-drop"]
     mass: Mass
@@ -36,29 +36,29 @@ class PayloadDrop(Event):
 
 
 class RotorLoss(Event):
-    """One rotor gives less thrust from some time on: a chipped blade, a tired motor."""
+    """From some time on, one rotor produces less thrust, for example because of a chipped blade."""
 
     kind: Literal["rotor-loss"]
     rotor: Annotated[int, Between(0, MAX_ROTORS - 1)] = 0
-    """Which, in the order of the vehicle's file."""
+    """Index of the rotor, in the order of the vehicle's file."""
     effect: Share = 0.7
-    """Thrust left, as a share of a healthy rotor's."""
+    """Remaining thrust, as a share of that of an intact rotor."""
 
 
 class LowBattery(Strict):
-    """All rotors fade as the battery does."""
+    """The thrust of all rotors fades with the battery."""
 
     kind: Literal["low-battery"]
     effect: Share = 0.7
-    """Thrust left at the end, as a share."""
+    """Remaining share of the thrust at the end."""
     at_s: Instant = 2.0
     """When it begins to fade [s]."""
     fade_s: Duration = 10.0
-    """How long that takes [s]."""
+    """Duration of the fading [s]."""
 
 
 class GroundEffect(Strict):
-    """Near the ground the rotors give more thrust for the same speed: 1 / (1 − (R / 4z)²) times as much.
+    """Near the ground, the rotors produce 1 / (1 − (R / 4z)²) times the thrust at the same speed.
 
     R is the rotors' radius, z the height of the centre of mass, at least R / 2. Cheeseman & Bennett, "The
     effect of the ground on a helicopter rotor in forward flight", ARC R&M 3021 (1955), in hover.

@@ -42,7 +42,7 @@ def identify_files(files: Sequence[Path], vehicle: str, out: Path, rate_hz: floa
     rows = []
     for path, each in found.constants.to_dict("index").items():
         half, fitted, used = each["half_width"], each["fitted"], each["identified"]
-        width = f"{half / fitted:.1%}" if used else f"{half:.2g}"
+        width = f"{100 * half / fitted:.1f} %" if used else f"{half:.2g}"
         rows.append(
             (path, each["unit"], f"{each['start']:.4g}", f"{fitted:.4g}", width, "yes" if used else "no")
         )
@@ -52,7 +52,9 @@ def identify_files(files: Sequence[Path], vehicle: str, out: Path, rate_hz: floa
     write_vehicle(found, out, [str(file) for file in files])
     picture = save_figure(out.with_suffix(".png"), draw_fit(found), dpi=120)
     low = found.explained.min()
-    say(f"{out}: for --vehicle {out}; the model explains {low:.1%} or more of each signal ({picture})")
+    say(
+        f"{out}: for --vehicle {out}; the model explains {100 * low:.1f} % or more of each signal ({picture})"
+    )
 
 
 def write_vehicle(found: Identified, out: str | Path, logs: Sequence[str]) -> Vehicle:
@@ -89,7 +91,7 @@ def draw_fit(found: Identified) -> Figure:
         ax = axes[k % 3, k // 3]
         ax.plot(time, measured[first : first + steps, k], color="0.55", lw=2.2, label="measured")
         ax.plot(time, modelled[first : first + steps, k], color="#b3390e", lw=1.0, label="model")
-        ax.set_title(f"{row}: {explained:.1%} of the variance", loc="left", fontsize=10)
+        ax.set_title(f"{row}: {100 * explained:.1f} % of the variance", loc="left", fontsize=10)
         ax.set_ylabel("m/s²" if k < 3 else "rad/s²")
         ax.grid(alpha=0.3)
     axes[0, 0].legend(loc="upper right", ncols=2, fontsize=9)

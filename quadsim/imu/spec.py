@@ -25,7 +25,7 @@ class Sensor(Strict):
     time_constant: Annotated[float, Between(1e-3, 1e7, "s")] | None = None
     """Correlation time τ of the bias random walk [s]."""
     turn_on: Annotated[float, Between(0.0, 50.0)] = 0.0
-    """Standard deviation of the bias that is drawn at turn-on and then stays [unit]."""
+    """Standard deviation of the turn-on bias, which is constant during a flight [unit]."""
     scale_factor: Spread = 0.0
     """Standard deviation of the relative scale error of each axis."""
     misalignment: Spread = 0.0
@@ -37,7 +37,7 @@ class Sensor(Strict):
     resolution: Annotated[float, Between(0.0, 50.0)] = 0.0
     """Step of the digital output [unit]; 0 for none."""
     saturation: Annotated[float, Between(1e-3, 1e5)] | None = None
-    """Largest reading [unit]; left out, there is none."""
+    """Largest reading [unit]; default: no limit."""
 
     @model_validator(mode="after")
     def _check(self) -> "Sensor":
@@ -61,10 +61,10 @@ class Sensor(Strict):
 
 
 class RotorVibration(Strict):
-    """What the imbalance of each rotor shakes; a property of the airframe more than of the sensor."""
+    """Vibration from the imbalance of each rotor, a property of the airframe rather than of the sensor."""
 
     rotor_vel: RotorSpeed
-    """Rotor speed at which the amplitudes hold [rad/s]; elsewhere they go with its square."""
+    """Rotor speed for which the amplitudes are given [rad/s]; they are proportional to its square."""
     gyro: tuple[RatePart, RatePart, RatePart] = (0.0, 0.0, 0.0)
     """Amplitude of each rotor [rad/s]."""
     accel: ForceVector = (0.0, 0.0, 0.0)
@@ -86,15 +86,15 @@ class ImuSpec(Strict):
     accel: Sensor = Sensor()
     """Accelerometer [m/s²]."""
     lever_arm: Arm = (0.0, 0.0, 0.0)
-    """Where the sensor sits, from the centre of mass, in body axes [m]."""
+    """Position of the sensor relative to the centre of mass, in body axes [m]."""
     mounting_deg: Rotation = (0.0, 0.0, 0.0)
     """Roll, pitch and yaw of the sensor with respect to the body [deg]; readings are in sensor axes."""
     g_sensitivity: Annotated[float, Between(0.0, 1.0, "rad/s per m/s²")] = 0.0
     """Standard deviation of each element of the gyro's sensitivity to specific force [rad/s per m/s²]."""
     vibration: RotorVibration | None = None
-    """Vibration of the rotors; left out, there is none."""
+    """Vibration caused by the rotors; default: none."""
     dropped: Annotated[float, Between(0.0, 0.99)] = 0.0
-    """Share of the samples that are lost; the reading is then the one before."""
+    """Share of samples that are lost; a lost sample repeats the previous reading."""
 
     @property
     def sensors(self) -> dict[str, Sensor]:

@@ -18,37 +18,37 @@ Multiple = Annotated[int, Between(-100, 100)]
 class Placed(Strict):
     """A trajectory that is somewhere."""
 
-    position: Position = Field(default=(0.0, 0.0, 2.0), description="Its start or its centre [m].")
+    position: Position = Field(default=(0.0, 0.0, 2.0), description="Start or centre of the trajectory [m].")
 
 
 class Hover(Placed):
-    """Stay at one place."""
+    """Hold one position."""
 
     kind: Literal["hover"] = "hover"
     yaw_deg: Heading = Field(default=0.0, description="Heading [deg].")
 
 
 class Step(Placed):
-    """Hover, then jump: the set-point moves at once, there and back."""
+    """Hover, then jump: the set-point jumps to another position and back."""
 
     kind: Literal["step"] = "step"
     offset: Position = Field(default=(2.0, 0.0, 0.0), description="Size of the jump [m].")
     yaw_deg: Heading = Field(default=0.0, description="Jump of the heading [deg].")
     at_s: Instant = Field(default=2.0, description="Time of the first jump [s].")
-    hold_s: Duration = Field(default=6.0, description="Time until the next jump, back or there again [s].")
+    hold_s: Duration = Field(default=6.0, description="Time between jumps [s].")
 
 
 class Move(Placed):
-    """From one place to another and to stay there, rest to rest with minimum snap: take-off and landing."""
+    """Minimum-snap motion from rest to rest, for take-off and landing, followed by a hover."""
 
     kind: Literal["move"] = "move"
-    offset: Position = Field(default=(0.0, 0.0, 1.0), description="How far [m].")
-    at_s: Instant = Field(default=2.0, description="When it begins [s].")
-    length_s: Manoeuvre = Field(default=4.0, description="How long it takes [s].")
+    offset: Position = Field(default=(0.0, 0.0, 1.0), description="Displacement [m].")
+    at_s: Instant = Field(default=2.0, description="Start time [s].")
+    length_s: Manoeuvre = Field(default=4.0, description="Duration [s].")
 
 
 class Lissajous(Placed):
-    """Sines on the three axes; frequencies 1 : 2 draw a figure of eight. It grows over one period."""
+    """Sinusoids on the three axes, which grow over one period; frequencies 1 : 2 give a figure of eight."""
 
     kind: Literal["lissajous"] = "lissajous"
     amplitude: Position = Field(default=(3.0, 1.5, 0.0), description="Amplitudes [m].")
@@ -59,16 +59,21 @@ class Lissajous(Placed):
 
 
 class Waypoints(Strict):
-    """Minimum snap through waypoints, at rest at both ends; repeated until time is up.
+    """Minimum-snap trajectory through waypoints, at rest at both ends; repeated until the flight ends.
 
     For given times the curve that minimises ∫ ‖d⁴x/dt⁴‖² is the interpolating spline of degree 7
     (Mellinger & Kumar 2011); times follow from distance over speed.
     """
 
     kind: Literal["waypoints"] = "waypoints"
-    points: tuple[Position, ...] = Field(default=(), description="Waypoints [m]; none draws random ones.")
-    random_points: Annotated[int, Between(2, 100)] = Field(default=8, description="How many to draw.")
-    box: Position = Field(default=(6.0, 6.0, 2.0), description="Half size of the box to draw in [m].")
+    points: tuple[Position, ...] = Field(default=(), description="Waypoints [m]; default: random ones.")
+    random_points: Annotated[int, Between(2, 100)] = Field(
+        default=8, description="Number of random waypoints."
+    )
+    box: Position = Field(
+        default=(6.0, 6.0, 2.0),
+        description="Half extents of the box in which random waypoints are drawn [m].",
+    )
     position: Position = Field(default=(0.0, 0.0, 4.0), description="Centre of that box [m].")
     speed: Speed = Field(default=2.5, description="Mean speed along straight legs [m/s].")
 
@@ -88,29 +93,29 @@ class Mix(Strict):
 
     kind: Literal["mix"] = "mix"
     position: Position = Field(default=(0.0, 0.0, 20.0), description="Start and centre of the flights [m].")
-    max_tilt_deg: PeakTilt = Field(default=45.0, description="Largest tilt that a reference asks for [deg].")
+    max_tilt_deg: PeakTilt = Field(default=45.0, description="Largest commanded tilt [deg].")
     min_tilt_deg: Annotated[float, Between(0.0, 55.0, "°")] = Field(
         default_factory=lambda given: min(LEAST_PEAK_DEG, given.get("max_tilt_deg", LEAST_PEAK_DEG)),
-        description="Smallest peak tilt of a dash [deg]; 25, or the largest where that is less.",
+        description="Smallest peak tilt of a dash [deg]; default: 25, or `max_tilt_deg` if that is smaller.",
     )
     dash_s: ManoeuvreRange = Field(default=(1.0, 2.6), description="Range of the length of a dash [s].")
     circle_share: Share = Field(default=0.25, description="Share of circles among the manoeuvres.")
     circle_s: ManoeuvreRange = Field(default=(1.6, 3.5), description="Range of the period of a circle [s].")
     eight_share: Share = Field(default=0.0, description="Share of figures of eight.")
-    eight_s: ManoeuvreRange = Field(default=(3.0, 8.0), description="Range of the time of a lap of them [s].")
+    eight_s: ManoeuvreRange = Field(
+        default=(3.0, 8.0), description="Range of the lap time of figures of eight [s]."
+    )
     jump_share: Share = Field(default=0.0, description="Share of jumps of the set-point.")
     jump_m: Annotated[tuple[Distance, Distance], Rising] = Field(
-        default=(0.5, 2.5), description="Range of their size [m]."
+        default=(0.5, 2.5), description="Range of the size of jumps [m]."
     )
     cruise_share: Share = Field(default=0.0, description="Share of straight flights of constant velocity.")
-    cruise_s: ManoeuvreRange = Field(
-        default=(2.0, 6.0), description="Range of the time at that velocity [s]."
-    )
+    cruise_s: ManoeuvreRange = Field(default=(2.0, 6.0), description="Range of the duration of cruises [s].")
     cruise_speed: Annotated[tuple[Speed, Speed], Rising] = Field(
-        default=(2.0, 8.0), description="Range of that velocity [m/s]."
+        default=(2.0, 8.0), description="Range of the cruise velocity [m/s]."
     )
     pause_share: Share = Field(default=0.1, description="Share of hovering pauses.")
-    pause_s: ManoeuvreRange = Field(default=(0.2, 1.5), description="Range of their length [s].")
+    pause_s: ManoeuvreRange = Field(default=(0.2, 1.5), description="Range of the duration of pauses [s].")
     max_yaw_rate: Annotated[float, Between(0.0, 70.0, "rad/s")] = Field(
         default=1.5, description="Largest yaw rate of a turn [rad/s]."
     )

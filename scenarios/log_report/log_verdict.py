@@ -16,11 +16,11 @@ LARGE_BIAS = math.radians(1.0)
 GAINED = 0.5
 """Share of the error, after the bias is removed, below which the bias is named as its cause."""
 ADVICE = {
-    "bias jump": "Calibration does not cure a bias that jumps: look at the sensor's supply, temperature and "
-    "mount, replace it if the jump returns, and fly on an estimator that tracks the bias.",
-    "stuck axis": "Calibration does not cure an axis that sticks: look at the bus and its driver.",
-    "saturation": "A saturated axis needs a wider range of the sensor, or gentler motion.",
-    "vibration": "Vibration that sets in is mechanical: look at propellers, bearings and the IMU's mount.",
+    "bias jump": "Calibration does not cure a bias that jumps. Check the sensor's supply, temperature "
+    "and mount, replace the sensor if the jump returns, and fly with an estimator that tracks the bias.",
+    "stuck axis": "Calibration does not cure an axis that sticks. Check the bus and its driver.",
+    "saturation": "An axis saturates. Select a wider range of the sensor, or move more gently.",
+    "vibration": "The vibration has a mechanical cause. Check propellers, bearings and the IMU's mount.",
 }
 """Kind of fault to what its user is to do."""
 
@@ -35,7 +35,7 @@ class LogVerdict(NamedTuple):
 def log_verdict(scores: LogScores) -> LogVerdict:
     """Which estimator had the smallest error, how a level guess compares, and what limits the finding."""
     compared = [line for log in scores.compared for line in _compared(scores, log)]
-    notes = [f"{name} {reason.rstrip('.')}: it is not ranked." for name, reason in scores.unranked.items()]
+    notes = [f"{name} is not ranked: it {reason.rstrip('.')}." for name, reason in scores.unranked.items()]
     if not scores.scored:
         lines = [*compared, *_failing(scores), *_believed(scores), *notes]
         return LogVerdict(_headline_without_truth(scores), lines)
@@ -52,7 +52,7 @@ def log_verdict(scores: LogScores) -> LogVerdict:
         lines += part(scores)
     lines += compared
     if len(logs) == 1:
-        lines.append("One log shows what happened on it, not which estimator is best on the next.")
+        lines.append("One log is not enough to choose an estimator for other logs.")
     return LogVerdict(_headline(scores, level), lines + notes)
 
 
@@ -65,7 +65,8 @@ def _headline(scores: LogScores, level: float) -> str:
     if error > CLEAR * level:
         text = f"No estimator is much better than a level guess ({level:.2f}°){over}"
         return f"{text}; the best is {best}, {error:.2f}°."
-    return f"Smallest error: {best}, {error:.2f}° inclination RMSE{over}."
+    tied = f" (the difference from {', '.join(scores.tied)} is not significant)" if scores.tied else ""
+    return f"Smallest error: {best}, {error:.2f}° inclination RMSE{tied}{over}."
 
 
 def _headline_without_truth(scores: LogScores) -> str:
@@ -79,7 +80,8 @@ def _headline_without_truth(scores: LogScores) -> str:
     elif favoured:
         evidence = f"the mean force favours {', '.join(favoured)}"
     over = ", over the logs without a fault" if len(sound) < len(compared) else ""
-    return f"No true attitude, no errors; {evidence}{over}."
+    lacking = "The log has" if len(compared) == 1 else "The logs have"
+    return f"{lacking} no true attitude, so no errors are given; {evidence}{over}."
 
 
 def _failing(scores: LogScores) -> Iterator[str]:
@@ -87,17 +89,17 @@ def _failing(scores: LogScores) -> Iterator[str]:
     faulty = scores.faulty
     if faulty and scores.headline == faulty:
         where = "the log" if len(faulty) == 1 else "every log"
-        yield f"A sensor fault begins in {where}: no error here is that of an intact sensor."
+        yield f"A sensor fault begins in {where}, so all errors here include the effect of a faulty sensor."
     elif faulty:
         count = f"{len(faulty)} of {len(scores.scored)} logs {'has' if len(faulty) == 1 else 'have'}"
-        yield f"{count} a sensor fault: means and headline exclude {', '.join(faulty)}."
+        yield f"{count} a sensor fault. Means and headline exclude {', '.join(faulty)}."
     on_log = scores.on_logs().reindex(scores.ranked)
     kinds = set()
     for name, log in scores.logs.items():
         text = f"{name}, {'; '.join(fault.sentence for fault in log.faults)}."
         if name in on_log and bool(on_log[name].notna().any()):
             best = on_log[name].idxmin()
-            text += f" The smallest error on it is {on_log.at[best, name]:.2f}° ({best})."
+            text += f" The smallest error on this log is {on_log.at[best, name]:.2f}° ({best})."
         if log.faults:
             yield text
         kinds |= {fault.kind for fault in log.faults}
@@ -115,8 +117,8 @@ def _by_log(scores: LogScores) -> Iterator[str]:
     if first < len(logs):
         worst = (errors.loc[best] / errors.min()).idxmax()
         value, name = errors[worst].min(), errors[worst].idxmin()
-        text += f"; it is furthest behind on {worst}, with {errors.at[best, worst]:.2f}° "
-        text += f"against {value:.2f}° of {name}"
+        text += f"; its largest disadvantage is on {worst}, where its error is {errors.at[best, worst]:.2f}° "
+        text += f"and that of {name} is {value:.2f}°"
     yield f"{text}."
 
 
@@ -127,19 +129,19 @@ def _bias(scores: LogScores) -> Iterator[str]:
     known = [log.bias.significant for log in sound if log.bias and np.isfinite(log.bias.mean).all()]
     largest = float(np.abs(known).max(initial=0.0))
     if known and largest == 0.0:
-        yield "No gyroscope bias differs significantly from zero, so nothing is removed."
+        yield "No gyroscope bias differs significantly from zero, so no bias is removed."
     if largest < LARGE_BIAS:
         return
     errors = {name: (scores.mean(name, RAW), scores.mean(name, KNOWN)) for name in scores.ranked}
     losing = [
-        f"{name} ({raw:.1f}°, without it {without:.1f}°)"
+        f"{name} ({raw:.1f}°, without the bias {without:.1f}°)"
         for name, (raw, without) in errors.items()
         if without < GAINED * raw
     ]
     text = f"The gyroscope has a bias of up to {math.degrees(largest):.1f} °/s"
     if losing:
-        text += f", which these estimators do not correct in time: {', '.join(losing)}. Calibrate it: "
-        text += "`quadsim identify --still`"
+        text += f", which these estimators do not correct in time: {', '.join(losing)}. Calibrate the sensor "
+        text += "with `quadsim identify --still`"
     yield f"{text}."
 
 
@@ -169,7 +171,7 @@ def _believed(scores: LogScores) -> Iterator[str]:
         shares = [log.beliefs[name].share() for log in found]
         mean = {model: float(np.mean([share[model] for share in shares])) for model in shares[0]}
         ranked = sorted(mean.items(), key=lambda each: -each[1])
-        shown = ", ".join(f"{model} {share:.0%}" for model, share in ranked)
+        shown = ", ".join(f"{model} {100 * share:.0f} %" for model, share in ranked)
         sigma = np.median([log.beliefs[name].sigma_deg for log in found])
         inside = f"its σ is {sigma:.1f}° in the median"
         if honest := [log.interval(name) for log in found if log.comparison is None]:

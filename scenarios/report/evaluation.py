@@ -7,7 +7,7 @@ from typing import Any
 
 import estimators
 from estimators.evaluation import error_figures
-from estimators.evaluation.comparison import behind_the_best, evaluate, made_of
+from estimators.evaluation.comparison import SETTLED_DEG, Evaluation, behind_the_best, evaluate, made_of
 from estimators.evaluation.flights import imu_of, vehicle_of
 from estimators.registry import needs_vehicle, tuned_elsewhere
 from quadsim.dataset.reading import open_dataset
@@ -25,13 +25,14 @@ FIGURES = {
 SLOW_FLIGHTS = 4
 """Flights that filterpy's filters are run on, which are hundreds of times as slow as others."""
 METHOD = (
-    "Errors are the mean absolute error of roll and pitch of each flight; median, mean and SD are over "
-    "flights, the interval of the mean is a bootstrap's, 95 %. Silenced: the mean error of the same network "
-    "with output weights of zero. Error minus the best: the paired difference of each flight from the best "
-    "estimator's; tied where its interval reaches zero. 20° to 2°: after a start in an "
-    "unknown tilt of 20°, when the median start's inclination error stays below 2°; a dash is never. "
-    "Networks are never given the initial attitude: they have no row with a known start. A reference "
-    "receives the true attitude and is not ranked, nor is an estimator that failed or has a flaw."
+    "The error of a flight is the mean absolute error of roll and pitch. The table gives its median, mean "
+    "and standard deviation over flights; the 95 % interval of the mean is a bootstrap interval. 'Silenced' "
+    "is the mean error of the same network with output weights of zero. 'Error minus the best' is the paired "
+    "difference from the best estimator; two estimators are tied if its interval includes 0. '20° to 2°' is "
+    "the time from a start in an unknown tilt of 20° until the median inclination error stays below 2°; a "
+    "dash means that it never does. Networks are never given the initial attitude, so they have no row with "
+    "a known start. A reference receives the true attitude and is not ranked. Estimators that failed or have "
+    "a flaw are not ranked either."
 )
 
 
@@ -61,43 +62,44 @@ def evaluate_dataset(
     with progress_bar("evaluate", "runs") as bar:
         done = evaluate(flights, made, slow_flights=SLOW_FLIGHTS, seed=seed, progress=bar)
     done.write_csv(out / "evaluation.csv")
-    pictures = {n: save_figure(out / f"{n}.png", draw(done), dpi=130) for n, draw in FIGURES.items()}
-    caption = f"{flights.sizes['flight']} flights of {data}, without a loop."
-    notes = [*evaluation_notes(done.rows), *tuned_elsewhere(made, tuning, airframe, imu)]
+    figures = {name: draw for name, draw in FIGURES.items() if done.tilts_deg or name != "convergence"}
+    pictures = {n: save_figure(out / f"{n}.png", draw(done), dpi=130) for n, draw in figures.items()}
+    caption = f"{flights.sizes['flight']} flights of {data}, scored outside the loop."
+    notes = [*evaluation_notes(done), *tuned_elsewhere(made, tuning, airframe, imu)]
     page = write_report(
         out / "report.html",
-        offline=recorded_section(done.rows, " ".join([caption, *notes]), pictures),
-        title="Attitude estimators on recorded flights",
+        offline=recorded_section(done, " ".join([caption, *notes]), pictures),
+        title="Attitude estimators outside the loop",
         footer=METHOD,
         files=["evaluation.csv"],
     )
-    output.print(rows_table(columns(done.rows), caption))
+    output.print(rows_table(columns(done), caption))
     for note in notes:
         output.print(note, soft_wrap=True)
     output.print(f"{page}: {headline(done.rows)}", soft_wrap=True)
 
 
 def recorded_section(
-    rows: Sequence[Any], caption: str, pictures: Mapping[str, Path] | None = None
+    done: Evaluation, caption: str, pictures: Mapping[str, Path] | None = None
 ) -> OfflineSection:
     """The section of a report."""
-    found = headline(rows)
-    return OfflineSection(columns(rows), caption, pictures or {}, f"On recorded flights {found}.")
+    found = headline(done.rows)
+    return OfflineSection(columns(done), caption, pictures or {}, f"On these flights, {found}.")
 
 
 def headline(rows: Sequence[Any]) -> str:
-    """Whose error is the smallest from an unknown start, and from whose it does not differ significantly."""
+    """The estimator with the smallest error from an unknown start, and those that are tied with it."""
     rated = [row for row in rows if row.initial == "unknown" and not row.unranked]
     if not rated:
         return "no estimator with an unknown start is ranked"
     best = min(rated, key=lambda row: row.behind_deg)
     tied = [row.estimator for row in rated if row.tied and row is not best and row.flights == best.flights]
-    text = f"the smallest error from an unknown start is {best.estimator}'s, {best.mean_deg:.2f}°"
-    return text + (f", not significantly different from {', '.join(tied)}" if tied else "")
+    text = f"{best.estimator} has the smallest error from an unknown start, {best.mean_deg:.2f}°"
+    return text + (f"; the difference from {', '.join(tied)} is not significant" if tied else "")
 
 
-def columns(rows: Sequence[Any]) -> list[dict[str, object]]:
-    """The rows as tables show them; what is not known is None."""
+def columns(done: Evaluation) -> list[dict[str, object]]:
+    """The rows as tables show them; unknown values are None."""
     return [
         {
             "estimator": row.estimator,
@@ -109,11 +111,13 @@ def columns(rows: Sequence[Any]) -> list[dict[str, object]]:
             "silenced [°]": _known(row.silenced_deg),
             "error minus the best [°]": behind_the_best(row),
             "inclination [°]": _known(row.inclination_rmse_deg),
-            "20° to 2° [s]": _known(row.settle_20_s),
-            "45° to 2° [s]": _known(row.settle_45_s),
+            **{
+                f"{tilt:g}° to {SETTLED_DEG:g}° [s]": _known(getattr(row, f"settle_{tilt:g}_s"))
+                for tilt in done.tilts_deg
+            },
             "time [µs]": _known(row.runtime_ns / 1e3),
         }
-        for row in rows
+        for row in done.rows
     ]
 
 
@@ -121,19 +125,21 @@ def _known(value: float) -> float | None:
     return None if math.isnan(value) else value
 
 
-def evaluation_notes(rows: Sequence[Any]) -> list[str]:
-    """What the table does not say by itself."""
-    notes = []
+def evaluation_notes(done: Evaluation) -> list[str]:
+    """Notes that explain the table."""
+    notes, rows = [], done.rows
+    if not done.tilts_deg:
+        notes.append("The flights are too short or too level to measure convergence from a wrong start.")
     most = max(row.flights for row in rows)
     fewer = {row.estimator: row.flights for row in rows if 0 < row.flights < most}
     if fewer:
         flights = ", ".join(f"{name} on the first {count}" for name, count in fewer.items())
-        notes.append(f"Slow ones were run on fewer flights: {flights}.")
+        notes.append(f"Slow estimators were run on fewer flights: {flights}.")
     missing = max(row.missing for row in rows)
     if missing > 0:
         notes.append(
-            f"{missing} samples were missing or beyond any sensor's range; estimators went on from their "
-            "predictions there."
+            f"{missing} samples were missing or beyond any sensor's range; the estimators predicted "
+            "the attitude there."
         )
     flaws: dict[tuple[str, str], list[str]] = {}
     for row in rows:

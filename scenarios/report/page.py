@@ -108,7 +108,7 @@ def write_report(
     contender = "estimator" if measure == ERROR else "estimator and controller"
     context = {
         "title": title or f"Which {contender} to fly",
-        "kicker": "closed loop" if results.cells else "recorded flights",
+        "kicker": "closed loop" if results.cells else "outside the loop",
         "verdict": judged,
         "results": results,
         "rows": sorted(results.rows, key=lambda row: place[row.scenario, row.estimator]),

@@ -198,7 +198,7 @@ def rotorpy_flights(
         planned: The flights.
         folder: Where they are stored.
         imu: The IMU, which is switched on when recording begins.
-        duration_s: Length of each [s].
+        duration_s: Length of each flight [s].
         workers: Processes that simulate what is missing.
     """
     airframe = planned[0].airframe

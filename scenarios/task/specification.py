@@ -27,21 +27,21 @@ class Simulated(Variant):
 
     flights: Annotated[int, Between(1, SEEDS_EACH)]
     duration_s: Duration
-    """Length of each [s]."""
+    """Length of each flight [s]."""
 
 
 class Task(Strict):
-    """A file of `assets/tasks`."""
+    """A task: its data, metrics, limits and rules."""
 
     version: str
     """Its name and version; what an entry got under another one is not comparable."""
     description: str
     release: str
-    """Whose held-out seeds all simulated flights have."""
+    """Release whose held-out seeds all simulated flights have."""
     closed_loop: str
     """The experiment that is flown: held-out, or a TOML file."""
     rate_hz: SampleRate
-    """Samples per second of everything."""
+    """Samples per second of all data."""
     most_ms: Annotated[float, Between(1e-3, 1e4, "ms")]
     """Time limit per sample of one vehicle [ms]."""
     skip_s: Annotated[float, Between(0.0, 60.0, "s")]
@@ -55,9 +55,9 @@ class Task(Strict):
     digests: dict[str, str] = Field(default={})
     """Of the numbers of parts, see `data.digest_of`; those that are left out are not checked."""
     metrics: dict[str, str]
-    """What is measured, in words."""
+    """Description of each metric."""
     rules: tuple[str, ...]
-    """What an entry may and may not do, in words."""
+    """Rules for entries."""
 
     @property
     def parts(self) -> list[str]:

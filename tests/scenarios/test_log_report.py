@@ -52,7 +52,19 @@ def test_verdict_names_the_best_the_bias_and_what_is_believed(scored):
     assert re.search(r"2 logs, \d+ s scored", text)
     assert "has a bias of up to 3.0 °/s" in text
     assert "quadsim identify --still" in text
-    assert "hand 75%, drag 25%" in text
+    assert "hand 75 %, drag 25 %" in text
+
+
+def test_headline_names_estimators_that_do_not_differ_significantly_from_the_best():
+    scores = score_logs(
+        [log("long", seconds=80.0)], {"a": create("eskf"), "b": create("eskf")}, within_deg=90.0
+    )
+    assert log_verdict(scores).headline.endswith("RMSE (the difference from b is not significant).")
+    one = scores.logs["long"]
+    one.estimates["b"] = one.estimates["b"] + np.radians(5.0)
+    assert not scores.tied
+    scores.logs["long"] = replace(one, flights=replace(one.flights, truth=one.flights.truth * np.nan))
+    assert not scores.tied  # no block counts
 
 
 def test_verdict_says_when_nothing_beats_a_level_guess(scored):
@@ -81,18 +93,18 @@ def test_means_and_headline_are_without_faulty_logs(scored, kind):
     found, best = log_verdict(scores), min(alone, key=lambda name: alone[name])
     smallest = f"{best}, {alone[best]:.2f}° inclination RMSE"
     assert found.headline == f"Smallest error: {smallest}, over the logs without a fault."
-    assert "1 of 2 logs has a sensor fault: means and headline exclude biased." in found.lines
+    assert "1 of 2 logs has a sensor fault. Means and headline exclude biased." in found.lines
     (said,) = [line for line in found.lines if FAULTS[kind].sentence in line]
     smallest = on_log["biased"].drop("level").min()
-    assert f"The smallest error on it is {smallest:.2f}°" in said
+    assert f"The smallest error on this log is {smallest:.2f}°" in said
 
 
 def test_a_sensor_that_fails_is_not_to_be_calibrated(scored):
     sound = log_verdict(scored[1])
     failing = dict.fromkeys(scored[1].logs, (FAULTS["bias jump"],))
     faulty = log_verdict(with_faults(scored[1], **failing))
-    assert any("Calibrate it" in line for line in sound.lines)
-    assert not any("Calibrate it" in line for line in faulty.lines)
+    assert any("Calibrate the sensor" in line for line in sound.lines)
+    assert not any("Calibrate the sensor" in line for line in faulty.lines)
     assert any("Calibration does not cure a bias that jumps" in line for line in faulty.lines)
     assert not any("does not cure" in line for line in sound.lines)
     assert faulty.headline.endswith("but all logs have a sensor fault.")
@@ -117,7 +129,7 @@ def test_the_faults_of_a_recording_are_those_of_its_scores_and_table(tmp_path):
     ],
 )  # fmt: skip
 def test_a_wide_interval_or_a_large_error_does_not_reassure(inside, sigma, rmse, said):
-    assert Coverage(inside, sigma, rmse).text == f"{inside:.0%} {INSIDE}{said}"
+    assert Coverage(inside, sigma, rmse).text == f"{100 * inside:.0f} % {INSIDE}{said}"
 
 
 def test_the_error_beside_an_interval_is_of_roll_and_pitch_where_they_count():
@@ -129,7 +141,7 @@ def test_the_error_beside_an_interval_is_of_roll_and_pitch_where_they_count():
 
 def test_verdict_of_one_log_warns_of_the_next():
     scores = score_logs([log("alone", seconds=10.0)], ["mahony"], within_deg=90.0)
-    assert any(line.startswith("One log shows") for line in log_verdict(scores).lines)
+    assert any(line.startswith("One log is not enough") for line in log_verdict(scores).lines)
 
 
 def test_page_needs_nothing_else_and_escapes_what_is_the_user_s(report):

@@ -1,12 +1,18 @@
-/* Tables that a heading sorts. */
+/* Tables that a heading sorts, and the fading edge of those that are wider than the page. */
 import { all } from "./dom.js";
 
 export function makeSortable() {
+  for (const box of all(".scroll")) markCut(box);
   for (const table of all("table.sortable")) {
     all("th", table).forEach((th, column) => {
       th.querySelector("button").onclick = () => sortBy(table, th, column);
     });
   }
+}
+function markCut(box) {
+  const mark = () => box.classList.toggle("cut", box.scrollLeft + box.clientWidth < box.scrollWidth - 1);
+  box.addEventListener("scroll", mark, { passive: true });
+  new ResizeObserver(mark).observe(box);
 }
 function sortBy(table, th, column) {
   const up = !th.classList.contains("up");
