@@ -214,7 +214,7 @@ def test_parameters_that_do_not_fit_are_refused(tmp_path, change, said):
 def test_other_files_are_refused_in_one_line(tmp_path):
     (tmp_path / "x.safetensors").write_bytes(b"no")
     for load, error, said in (
-        (lambda: load_circuit(tmp_path / "x.safetensors"), ValueError, "not a safetensors file of a circuit"),
+        (lambda: load_circuit(tmp_path / "x.safetensors"), ValueError, "not a safetensors file"),
         (lambda: load_circuit("assets/weights/att-snn-paper.safetensors"), ValueError, "not a circuit"),
         (lambda: load_circuit(tmp_path / "none"), FileNotFoundError, "no such file of a circuit"),
         (lambda: create(SHIPPED, 100.0), ValueError, "the circuit is for 200 Hz, not for 100 Hz"),
