@@ -206,8 +206,6 @@ class TrainConfig(Run, TrainingRecipe):
 
     model: Literal["att-snn", "att-rnn"] = SNN
     """Spiking network, or its non-spiking twin."""
-    threads: Annotated[int, Between(1, 1024)] = 1
-    """Threads that share a batch; the result depends on their number in the last digits only."""
     preset: str = "paper"
     """Preset that the other values started from: a shipped name or a TOML file."""
 

@@ -142,8 +142,7 @@ def run(
         learner = learner_of(config, out)
         claim(out, config, learner.contents())
         threads = torch.get_num_threads()
-        # the result must not depend on the machine's number of cores
-        torch.set_num_threads(config.threads if isinstance(config, TrainConfig) else 1)
+        torch.set_num_threads(1)  # the result must not depend on the machine's number of cores
         try:
             learner.begin()
             history = _restored(learner, out)
