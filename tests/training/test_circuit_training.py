@@ -111,6 +111,8 @@ def test_streams_are_readings_and_their_up(data):
         assert each.shape == (400, 3, 70)
         assert np.isfinite(each).all()
     assert 20 < streams.known.sum() < 50
+    assert (streams.force * streams.up).sum(1).mean() == pytest.approx(1, abs=0.2)
+    assert np.abs(streams.angle).mean() < 0.05
     np.testing.assert_allclose(np.linalg.norm(streams.up, axis=1), 1, atol=1e-5)
     again = draw_streams(parts, recipe, 400, np.random.default_rng(0))
     np.testing.assert_array_equal(streams.force, again.force)

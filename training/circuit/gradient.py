@@ -60,7 +60,8 @@ def loss_and_gradient(p: Parameters, batch: Streams, weights: Floats) -> tuple[f
     w, (trace, senses) = stepped(p), begin(p, batch)
     run_floats(batch.angle, batch.force, batch.again, w, trace, senses)
     loss, outer = _loss(trace.x[1:, OUTPUT], batch.up, weights / (weights.sum() * len(batch.angle)))
-    slopes, opened, onset = Steps._make(map(np.zeros_like, w)), 0 * trace.opened, 0 * w.level
+    slopes = Steps._make(map(np.zeros_like, w))
+    opened, onset = np.zeros_like(trace.opened), np.zeros_like(w.level)
     _backward(batch.angle, batch.force, w, trace, outer, slopes, opened)
     _gates(opened, trace, w.share, batch.again, batch.known, slopes, onset)
     dt = 1 / RATE_HZ
