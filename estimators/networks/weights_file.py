@@ -287,9 +287,9 @@ def check_shapes(path: str | Path, found: Shapes, needed: Shapes, optional: Shap
 
 def _check_values(path: str | Path, config: NetworkConfig, tensors: Mapping[str, NDArray[Any]]) -> None:
     number = "int16" if config.whole else "float"
+    if wrong := [name for name, value in tensors.items() if not value.dtype.name.startswith(number)]:
+        raise ValueError(f"{path}: tensor {wrong[0]} is {tensors[wrong[0]].dtype}, should be {number}")
     for name, value in tensors.items():
-        if not value.dtype.name.startswith(number):
-            raise ValueError(f"{path}: tensor {name} is {value.dtype}, should be {number}")
         if not np.all(np.isfinite(value)):
             raise ValueError(f"{path}: tensor {name} has values that are not finite")
         if not config.whole:

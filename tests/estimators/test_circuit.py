@@ -7,7 +7,7 @@ from imu_errors import ADIS, at_rest
 from plain_circuit import PlainCircuit, plain_floats
 
 from estimators import create, run
-from estimators.circuit.circuit_estimator import SCALING, circuit_estimator
+from estimators.circuit.circuit_estimator import SCALING, Silent, circuit_estimator
 from estimators.circuit.file import CircuitConfig, is_circuit, load_circuit, save_circuit
 from estimators.circuit.floats import new_trace, run_floats, stepped
 from estimators.circuit.on_chip import place, populations
@@ -178,6 +178,14 @@ def test_a_resting_imu_stays_level():
     gyro, accel = simulate_imu(ADIS, **at_rest(1, 4000), rate_hz=200.0, seed=0)
     for name in NAMES:
         assert np.degrees(np.abs(create(name, weights=SHIPPED).sequence(gyro, accel))[0, 1000:]).max() < 4
+
+
+def test_a_silent_network_is_level_and_counts_missing_samples():
+    est, (gyro, accel) = NetworkEstimator(Silent(), RATE_HZ), samples(2, 50)
+    gyro[0, 5], accel[0, 9] = np.nan, np.nan
+    est.reset(2)
+    assert not est.sequence(gyro, accel).any()
+    assert est.skipped.tolist() == [2, 0]
 
 
 def test_a_file_is_read_back_and_the_same_bytes(tmp_path):

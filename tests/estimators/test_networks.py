@@ -209,6 +209,8 @@ def test_bad_files_give_one_clear_line(tmp_path, snn_file, rnn_file):
     ):
         with pytest.raises(ValueError, match=message):
             save_network(path, config, tensors | change)
+    with pytest.raises(ValueError, match="tensor w_ff is missing"):
+        save_network(path, config, {name: each for name, each in tensors.items() if name != "w_ff"})
     with pytest.raises(ValueError, match=r"gyro \(1, 2\)"):
         create_network("att-snn", weights=snn_file).update(np.zeros((1, 2)), np.zeros((1, 3)))
 
@@ -219,16 +221,17 @@ def test_bad_files_give_one_clear_line(tmp_path, snn_file, rnn_file):
         ({"w_in": ("I16", [40_000_000])}, r"w_in has shape \(40000000,\), should be \(100, 6\)"),
         ({"w_in": ("BF16", [40_000_000])}, r"w_in has shape \(40000000,\), should be \(100, 6\)"),
         ({"more": ("I16", [40_000_000])}, "unknown tensor more"),
-        ({"w_rec": ("BF16", [100, 100])}, "not a safetensors file, or of unknown numbers"),
+        ({"w_rec": ("F64", [100, 100])}, "w_rec is float64, should be int16"),
+        ({"w_rec": ("BF16", [100, 100])}, "w_rec is bfloat16, should be int16|of unknown numbers"),
     ],
 )
-def test_declared_shapes_are_refused_before_a_number_is_read(tmp_path, changes, message):
+def test_declared_shapes_and_types_are_refused_before_a_number_is_read(tmp_path, changes, message):
     config = NetworkConfig(model="att-snn")
     tensors = {name: ("I16", list(shape)) for name, shape in expected_shapes(config).items()} | changes
     header: dict[str, object] = {"__metadata__": {"format": "3", "config": config.model_dump_json()}}
     end = 0
     for name, (kind, shape) in tensors.items():
-        size = 2 * math.prod(shape)
+        size = {"I16": 2, "BF16": 2, "F64": 8}[kind] * math.prod(shape)
         header[name] = {"dtype": kind, "shape": shape, "data_offsets": [end, end + size]}
         end += size
     text = json.dumps(header).encode()
