@@ -31,7 +31,6 @@ from plain_network import forward  # pyright: ignore[reportMissingImports]  (a f
 BATCH, STEPS, HIDDEN = 40, 2000, 100
 FUSED, FLOOR, PLAIN = "fused, quantised", "dense floor", "plain PyTorch, floats"
 NORSE, SNNTORCH = "Norse cells, floats", "snnTorch, floats"
-THREADED = "fused, quantised, 2 threads"
 
 Network = Callable[[Tensor], Tensor]
 
@@ -51,8 +50,8 @@ def inputs(n: int, steps: int) -> Tensor:
     return torch.tensor(np.round(np.random.default_rng(1).normal(0, 0.3, (n, steps, 6)) * 1024) / 1024)
 
 
-def fused(quantised: bool = True, threads: int = 1) -> Network:
-    weights, kernels = parameters(), Fused(quantised, threads=threads)
+def fused(quantised: bool = True) -> Network:
+    weights, kernels = parameters(), Fused(quantised)
     return lambda x: kernels.forward(x, weights)[0]
 
 
@@ -124,7 +123,6 @@ def snntorch() -> Network:
 
 VARIANTS: dict[str, Callable[[], Network]] = {
     FUSED: fused,
-    THREADED: lambda: fused(threads=2),
     "fused, floats": lambda: fused(quantised=False),
     PLAIN: plain,
     SNNTORCH: snntorch,

@@ -29,7 +29,9 @@ def turned_and_mirrored(
         rng: Source of all draws.
     """
     n, dtype = len(ang_vel), ang_vel.dtype
-    turn = _turns(n, rng).astype(dtype)
+    angle = rng.uniform(0, 2 * np.pi, n)
+    c, s, zero, one = np.cos(angle), np.sin(angle), np.zeros(n), np.ones(n)
+    turn = np.stack([c, -s, zero, s, c, zero, zero, zero, one], -1).reshape(n, 3, 3).astype(dtype)
     mirror = np.where(rng.random(n) < 0.5, -1.0, 1.0).astype(dtype)[:, None, None]
     # A mirror image of y flips y of a vector, and x and z of a rate (a pseudovector).
     reflect = np.concatenate([np.ones_like(mirror), mirror, np.ones_like(mirror)], 2)
@@ -66,10 +68,3 @@ def _rotor_speeds(n: int, steps: int, rng: np.random.Generator) -> Array:
     wander = rng.standard_normal((n, -(-steps // 20), 2)).cumsum(axis=1)
     wander = np.repeat(wander / np.sqrt(wander.shape[1]), 20, axis=1)[:, :steps]
     return 2 * np.pi * (rng.uniform(*ROTORS_HZ, (n, 1, 2)) + WANDER_HZ * wander)
-
-
-def _turns(n: int, rng: np.random.Generator) -> Array:
-    """Rotations about z by any angle, (n, 3, 3)."""
-    angle = rng.uniform(0, 2 * np.pi, n)
-    c, s, zero, one = np.cos(angle), np.sin(angle), np.zeros(n), np.ones(n)
-    return np.stack([c, -s, zero, s, c, zero, zero, zero, one], -1).reshape(n, 3, 3)

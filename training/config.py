@@ -172,28 +172,22 @@ class Run(Strict):
     seed: Annotated[int, Between(0, 2**63 - 1)] = 0
     """Of all that is random: initial weights, split, windows or streams, sensor errors."""
 
-    @property
-    def has_own_flights(self) -> bool:
-        """Whether the run makes the flights that it learns from."""
-        return False
-
-    @model_validator(mode="after")
-    def _has_data(self) -> Run:
+    def check(self, own_flights: bool) -> None:
+        """Check the seed, and that there is something to train on: data, or flights that the run makes."""
         unreserved(self.seed)
-        if not (self.data or self.has_own_flights):
+        if not (self.data or own_flights):
             raise ValueError(
                 "data: at least one dataset to train on is required, as quadsim generate makes it"
             )
-        return self
 
 
 class CircuitRun(Run, CircuitTraining):
     """A training run of a circuit."""
 
-    @property
-    def has_own_flights(self) -> bool:
-        """Whether the preset names flights, which are made where no data are given."""
-        return bool(self.flight_sets)
+    @model_validator(mode="after")
+    def _has_data(self) -> CircuitRun:
+        self.check(bool(self.flight_sets))
+        return self
 
     @property
     def epochs(self) -> int:
@@ -206,8 +200,6 @@ class TrainConfig(Run, TrainingRecipe):
 
     model: Literal["att-snn", "att-rnn"] = SNN
     """Spiking network, or its non-spiking twin."""
-    threads: Annotated[int, Between(1, 1024)] = 1
-    """Threads that share a batch; the result depends on their number in the last digits only."""
     preset: str = "paper"
     """Preset that the other values started from: a shipped name or a TOML file."""
 
@@ -216,13 +208,9 @@ class TrainConfig(Run, TrainingRecipe):
         """Whether the network is a controller."""
         return self.outputs == "angular-acceleration"
 
-    @property
-    def has_own_flights(self) -> bool:
-        """Whether the network is a controller, which learns from flights of its own."""
-        return self.controls
-
     @model_validator(mode="after")
     def _fits(self) -> TrainConfig:
+        self.check(self.controls)
         if self.model == "att-rnn" and self.encoding != self.hidden:
             raise ValueError(f"att-rnn: layers of {self.encoding} and {self.hidden} units, should be equal")
         paths = [Path(path).resolve() for path in (*self.data, *self.validation)]

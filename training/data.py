@@ -238,9 +238,13 @@ SETTLED_S = 5.0
 
 
 class AttitudeTask:
-    """Roll and pitch from readings of an IMU; see `training.epochs.Task`."""
+    """What a network of layers learns: flights, inputs and targets, and how it is judged.
+
+    Here roll and pitch from readings of an IMU; `training.control.task` has those of controllers.
+    """
 
     scale = (1.0,)
+    """Errors of the outputs that weigh the same in the loss."""
 
     def __init__(self, config: TrainConfig) -> None:
         self.config = config
@@ -248,7 +252,7 @@ class AttitudeTask:
         self.rate_hz = self.flights.rate_hz
 
     def contents(self) -> dict[str, str]:
-        """Digests of the flights."""
+        """Digests of the flights, so that a run on others is refused."""
         return {"data": self.flights.digest(), "validation": self.validation.digest()}
 
     def initial_model(self) -> AttSNN | AttRNN:
@@ -260,7 +264,7 @@ class AttitudeTask:
         return model
 
     def windows(self, epoch: int, student: Any) -> Iterator[Batch]:
-        """The windows of an epoch; no student flies."""
+        """The windows of an epoch, counted from 0; no student flies."""
         steps = self.config.steps(self.rate_hz)
         return windows(self.flights, self.config, steps, (self.config.seed, 1, epoch))
 

@@ -13,10 +13,10 @@ import logging
 import math
 import pickle
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -29,12 +29,13 @@ from quadsim.runs.record import commit
 
 from .config import CircuitRun, TrainConfig, make_config
 from .data import AttitudeTask, Batch, network_inputs
-from .models import AttRNN, AttSNN
+from .models import AttSNN
 from .optim import error_loss, finished, learning_rate, new_optimiser, total_cost
 from .run_folder import Epoch, claim, plot
 
 if TYPE_CHECKING:
     from .circuit.train import CircuitLearner
+    from .control.task import ControlTask
 
 log = logging.getLogger(__name__)
 
@@ -47,35 +48,6 @@ Config = TrainConfig | CircuitRun
 Progress = Callable[[Epoch, Config], None]
 Student = Callable[[], tuple[NetworkConfig, Tensors]]
 """The network so far."""
-
-
-class Task(Protocol):
-    """What a network of layers learns: flights, inputs and targets, and how it is judged."""
-
-    rate_hz: float
-    """Samples per second."""
-    scale: tuple[float, ...]
-    """Errors of the outputs that weigh the same in the loss."""
-
-    def contents(self) -> dict[str, str]:
-        """Digests of the flights, so that a run on others is refused."""
-        ...
-
-    def initial_model(self) -> AttSNN | AttRNN:
-        """The network before the first update."""
-        ...
-
-    def windows(self, epoch: int, student: Student) -> Iterator[Batch]:
-        """The windows of an epoch, counted from 0."""
-        ...
-
-    def validate(self, network: NetworkConfig, tensors: Tensors) -> dict[str, float]:
-        """Figures of merit by name; the first chooses the best epoch, the least is best."""
-        ...
-
-    def note(self) -> dict[str, Any]:
-        """What the weights say of the flights."""
-        ...
 
 
 def learner_of(config: Config, out: Path) -> Training | CircuitLearner:
@@ -142,8 +114,7 @@ def run(
         learner = learner_of(config, out)
         claim(out, config, learner.contents())
         threads = torch.get_num_threads()
-        # the result must not depend on the machine's number of cores
-        torch.set_num_threads(config.threads if isinstance(config, TrainConfig) else 1)
+        torch.set_num_threads(1)  # the result must not depend on the machine's number of cores
         try:
             learner.begin()
             history = _restored(learner, out)
@@ -220,7 +191,7 @@ def _all_epochs(
 class Training:
     """A network of layers that learns a task, and its optimiser."""
 
-    def __init__(self, config: TrainConfig, task: Task) -> None:
+    def __init__(self, config: TrainConfig, task: AttitudeTask | ControlTask) -> None:
         self.config, self.task, self.contents = config, task, task.contents
         self._input_state = np.zeros(config.batch_size, ENCODER)
         self._scale = torch.tensor(task.scale)

@@ -43,6 +43,7 @@ def initialise_random(model: AttSNN, seed: int) -> None:
     _set_weights(model, values)
 
 
+@torch.no_grad()
 def initialise_controller(
     model: AttSNN, x: NDArray[np.float64], target: NDArray[np.floating], seed: int
 ) -> None:
@@ -72,7 +73,8 @@ def initialise_controller(
     shape = values["w_rec"].shape
     values["w_rec"] = rng.normal(size=shape) * (rng.random(shape) < 0.1) * 0.02
     _set_weights(model, values)
-    first, _ = _layer_spikes(model, x)
+    model(torch.from_numpy(x))
+    first, _ = model.kernels.spikes()
     current = _filtered(first @ values["w_ff"].T, model.constants("syn1").detach().numpy())
     values["w_ff"] *= _drive_scale(current, rng)[:, None]
     _set_weights(model, values)
@@ -98,13 +100,6 @@ def _random_encoders(x: NDArray[np.float64], tau: NDArray, rng: np.random.Genera
     )
 
 
-def _layer_spikes(model: AttSNN, x: NDArray[np.float64]) -> tuple[NDArray, NDArray]:
-    """Spikes of both layers on inputs (n, T, inputs), (n, T, h)."""
-    with torch.no_grad():
-        model(torch.from_numpy(x))
-    return model.kernels.spikes()
-
-
 def _filtered(signal: NDArray, tau: NDArray) -> NDArray:
     """First-order filter u[t] = τ u[t-1] + signal[t] along time, (n, T, k)."""
     out = np.empty(signal.shape, np.float32)
@@ -124,7 +119,8 @@ def _drive_scale(current: NDArray, rng: np.random.Generator) -> NDArray:
 
 def _solve_outputs(model: AttSNN, x: NDArray[np.float64], target: NDArray[np.floating]) -> NDArray:
     """Output weights by ridge regression from the hidden spikes, filtered as the outputs filter them."""
-    _, spikes = _layer_spikes(model, x)
+    model(torch.from_numpy(x))
+    _, spikes = model.kernels.spikes()
     features = spikes.astype(np.float32)
     for name in ("syn2", "mem2"):
         features = _filtered(features, model.constants(name).detach().numpy())

@@ -93,7 +93,7 @@ class AttSNN(nn.Module):
         super().__init__()
         self.network, self.logits = network_of(config), config.method.logits
         self.finest = config.finest_exponent
-        self.kernels = Fused(config.quantised, config.recurrent_delay, config.threads)
+        self.kernels = Fused(config.quantised, config.recurrent_delay)
         self.output_scale = self.network.output_scale
         for name, shape in expected_shapes(self.network).items():
             self.register_parameter(name, nn.Parameter(torch.zeros(shape)))

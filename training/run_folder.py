@@ -68,7 +68,7 @@ def claim(out: Path, config: TrainConfig | CircuitRun, flights: dict[str, str]) 
             changed.
     """
     out.mkdir(parents=True, exist_ok=True)
-    file, any_threads = out / "config.json", {"threads"}  # which change the last digits alone
+    file = out / "config.json"
     if file.is_file():
         try:
             before = type(config).model_validate_json(file.read_text(encoding="utf-8"))
@@ -76,7 +76,7 @@ def claim(out: Path, config: TrainConfig | CircuitRun, flights: dict[str, str]) 
             raise ValueError(
                 f"{out}: holds a run of another version of quadsim, choose another folder"
             ) from None
-        if before.model_dump(exclude=any_threads) != config.model_dump(exclude=any_threads):
+        if before != config:
             raise ValueError(f"{out}: holds a run with another configuration, choose another folder")
     write_whole(file, config.model_dump_json(indent=2))
     contents = flights | {"code": code_digest("training.epochs")}

@@ -95,31 +95,23 @@ class Gradients(NamedTuple):
     mem: Floats  #: as syn
     outputs: Floats  #: syn and mem of the outputs, (2,)
 
-    @classmethod
-    def zeros(cls, weights: Weights[Floats], n: int, later: bool) -> Gradients:
-        """Sums to add to, for n sequences."""
-        (h0, inputs), (outputs, h1) = weights.w_in.shape, weights.w_out.shape
-        both = h0 + h1
-        shapes = (inputs, h0), (both, h1 + outputs), (both * later, h1), (n, both), (n, both), (2,)
-        return cls(*(np.zeros(shape, weights.w_ff.dtype) for shape in shapes))
 
-    def of_weights(self) -> Weights[Floats]:
-        """Gradients of the weights, for all sequences together."""
-        h0, h1 = self.w_in.shape[1], self.w_later.shape[1]
-        recurrent = self.w_later if len(self.w_later) else self.w
-        syn, mem = self.syn.sum(0), self.mem.sum(0)
-        return Weights(
-            w_in=self.w_in.T,
-            w_ff=self.w[:h0, :h1].T,
-            w_rec=recurrent[h0:, :h1].T,
-            w_out=self.w[h0:, h1:].T,
-            syn0=syn[:h0],
-            mem0=mem[:h0],
-            syn1=syn[h0:],
-            mem1=mem[h0:],
-            syn2=self.outputs[:1],
-            mem2=self.outputs[1:],
-        )
+def new_gradients(weights: Weights[Floats], n: int, later: bool) -> Gradients:
+    """Sums to add to, for n sequences."""
+    (h0, inputs), (outputs, h1) = weights.w_in.shape, weights.w_out.shape
+    both = h0 + h1
+    shapes = (inputs, h0), (both, h1 + outputs), (both * later, h1), (n, both), (n, both), (2,)
+    return Gradients(*(np.zeros(shape, weights.w_ff.dtype) for shape in shapes))
+
+
+def of_weights(gradients: Gradients) -> Weights[Floats]:
+    """Gradients of the weights, for all sequences together."""
+    w_in, w, w_later, syn, mem, outputs = gradients
+    h0, h1 = w_in.shape[1], w_later.shape[1]
+    recurrent = w_later if len(w_later) else w
+    syn, mem = syn.sum(0), mem.sum(0)
+    matrices = w_in.T, w[:h0, :h1].T, recurrent[h0:, :h1].T, w[h0:, h1:].T
+    return Weights(*matrices, syn[:h0], mem[:h0], syn[h0:], mem[h0:], outputs[:1], outputs[1:])
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
@@ -186,20 +178,11 @@ def backward_window(x, grad, of_spikes, weights, trace, gradients):
 
 @njit(inline="always")
 def _add_to_rows(rows, values, spikes):
-    """Add `values` to the rows of the neurons that spiked, four at a time."""
-    fours = spikes[0] - spikes[0] % 4
-    for k in range(2, 2 + fours, 4):
-        j0, j1, j2, j3 = spikes[k], spikes[k + 1], spikes[k + 2], spikes[k + 3]
+    """Add `values` to the rows of the neurons that spiked."""
+    for k in range(2, 2 + spikes[0]):
+        j = spikes[k]
         for i in range(values.shape[0]):
-            value = values[i]
-            rows[j0, i] += value
-            rows[j1, i] += value
-            rows[j2, i] += value
-            rows[j3, i] += value
-    for k in range(2 + fours, 2 + spikes[0]):
-        j0 = spikes[k]
-        for i in range(values.shape[0]):
-            rows[j0, i] += values[i]
+            rows[j, i] += values[i]
 
 
 @njit(nogil=True, fastmath={"contract"})

@@ -45,17 +45,6 @@ def pruned(
     return without(config, tensors, [chosen[chosen < encoding], chosen[chosen >= encoding] - encoding])
 
 
-def ablation(
-    config: NetworkConfig,
-    tensors: Tensors,
-    values: Sequence[Array],
-    fractions: Sequence[float],
-    flights: Flights,
-) -> Array:
-    """Mean error [deg] with each fraction of the neurons removed, nothing trained again, (fractions,)."""
-    return np.array([error_deg(*pruned(config, tensors, values, each), flights) for each in fractions])
-
-
 def error_deg(config: NetworkConfig, tensors: Tensors, flights: Flights) -> float:
     """Mean absolute error of roll and pitch from an unknown start [deg]."""
     est = NetworkEstimator(Spiking(config, tensors), config.rate_hz)

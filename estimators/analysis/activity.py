@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..networks.forward import OnLoihi
-from ..networks.network import roll_pitch_of_outputs, zero_states
+from ..networks.forward import Spiking
+from ..networks.network import NO_SET_POINTS, BatchedNetwork, roll_pitch_of_outputs
 
 Array = NDArray[np.float64]
 
@@ -46,8 +46,8 @@ class Activity:
         return values[..., edges[layer] : edges[layer + 1]]
 
 
-def record(core: OnLoihi, gyro: Array, accel: Array, set_points: Array | None = None) -> Activity:
-    """Run a network on the chip from rest and record what its neurons do.
+def record(core: Spiking, gyro: Array, accel: Array, set_points: Array | None = None) -> Activity:
+    """Run a spiking network from rest and record what its neurons do.
 
     Args:
         core: The network.
@@ -56,16 +56,15 @@ def record(core: OnLoihi, gyro: Array, accel: Array, set_points: Array | None = 
         set_points: Of a controller, as integer inputs (n, T, 3).
     """
     n, samples, _ = np.shape(gyro)
-    more = np.zeros((n, samples, 0)) if set_points is None else set_points
-    by_sample = [np.array(np.swapaxes(each, 0, 1), np.float64, order="C") for each in (gyro, accel, more)]
-    neurons = sum(core.sizes)
+    network, neurons = BatchedNetwork(core), sum(core.sizes)
+    network.begin(n)
     spikes, active = np.zeros((n, samples, neurons), np.int8), np.zeros((n, neurons), np.int64)
-    outputs, numbers = np.empty((samples, n, core.outputs)), zero_states(core, n)
-    state = numbers.view(core.state)[:, 0]
+    outputs = np.empty((n, samples, core.outputs))
     for k in range(samples):
-        core.kernel(*(each[k] for each in by_sample), *core.arrays, numbers, outputs[k])
-        spikes[:, k] = core.spikes(state)
-        active += core.active(state)
-    answers = outputs.swapaxes(0, 1)
-    estimate = roll_pitch_of_outputs(answers) if set_points is None else answers
+        part = slice(k, k + 1)
+        more = NO_SET_POINTS if set_points is None else set_points[:, part]
+        outputs[:, part] = network.outputs(gyro[:, part], accel[:, part], more)
+        spikes[:, k] = core.spikes(network.states)
+        active += core.active(network.states)
+    estimate = roll_pitch_of_outputs(outputs) if set_points is None else outputs
     return Activity(core.sizes, spikes, active, estimate)

@@ -17,7 +17,7 @@ from ..circuit.on_chip import populations
 from ..circuit.parameters import RATE_HZ, Parameters, quantised
 from ..evaluation.flights import Flights, load_flights
 from ..metrics import absolute_error
-from .energy import PICOJOULES
+from .energy import costs
 
 
 @dataclass(frozen=True)
@@ -60,13 +60,17 @@ def measured(config: CircuitConfig, p: Parameters, flights: Flights) -> Measured
     compartments = sum(each.compartments for each in populations(circuit))
     events = synaptic_events(circuit, dict(zip(EVENTS, counts / steps, strict=True)))
     spikes = float(counts.sum()) / steps + len(RINGS)
-    active = PICOJOULES["active neuron update"] - PICOJOULES["inactive neuron update"]
-    picojoules = events * PICOJOULES["synaptic event"] + compartments * PICOJOULES["inactive neuron update"]
-    picojoules += spikes * (active + PICOJOULES["spike within a tile"])
-    rates = counts / steps * config.steps_per_sample * RATE_HZ
-    return Measured(
-        float(np.nanmean(error)), dict(zip(EVENTS, map(float, rates), strict=True)), events, picojoules / 1000
-    )
+    rates = (counts / steps * config.steps_per_sample * RATE_HZ).tolist()
+    operations = {
+        "synaptic event": events,
+        "active neuron update": spikes,
+        "inactive neuron update": compartments - spikes,
+        "spike within a tile": spikes,
+        "hop between tiles": 0.0,
+    }
+    energy = sum(each.nanojoules for each in costs(operations))
+    by_kind: dict[str, float] = dict(zip(EVENTS, rates, strict=True))
+    return Measured(float(np.nanmean(error)), by_kind, events, energy)
 
 
 def synaptic_events(circuit: Circuit, spikes: dict[str, float]) -> float:

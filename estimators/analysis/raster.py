@@ -5,9 +5,10 @@ import numpy as np
 from quadsim.estimator import AttitudeEstimator
 from quadsim.pictures.timeline import Array, Spikes
 
-from ..circuit.spikes import SpikingCircuit, record_circuit
+from ..circuit.spikes import SpikingCircuit
 from ..networks.forward import Spiking
-from ..networks.network import NetworkEstimator, zero_states
+from ..networks.network import NO_SET_POINTS, NetworkEstimator, zero_states
+from .activity import record
 
 
 def spikes_of(est: AttitudeEstimator | None, gyro: Array, accel: Array) -> dict[str, Spikes]:
@@ -29,22 +30,19 @@ def spikes_of(est: AttitudeEstimator | None, gyro: Array, accel: Array) -> dict[
         return _of_circuit(core, gyro, accel, est.rate_hz)
     if not isinstance(core, Spiking):
         return {}
-    again, fired = NetworkEstimator(core, est.rate_hz), np.zeros((len(gyro), sum(core.sizes)), bool)
-    for k in range(len(gyro)):
-        again.update(gyro[k : k + 1], accel[k : k + 1])
-        fired[k] = core.spikes(again.states)[0]
-    encoding, hidden, _ = core.sizes
-    parts = {"encoding": fired[:, :encoding], "hidden": fired[:, encoding : encoding + hidden]}
-    return _listed(parts, est.rate_hz)
+    fired = record(core, gyro[None], accel[None]).spikes[0]
+    encoding, hidden, _ = np.split(fired, np.cumsum(core.sizes[:2]), axis=1)
+    return _listed({"encoding": encoding, "hidden": hidden}, est.rate_hz)
 
 
 def _of_circuit(core: SpikingCircuit, gyro: Array, accel: Array, rate_hz: float) -> dict[str, Spikes]:
-    settings, numbers = core.arrays
-    steps, vectors, gates = (int(settings[k]) for k in (12, 15, 16))
+    steps, vectors, gates = (int(core.arrays[0][k]) for k in (12, 15, 16))
     sizes = {"vectors": 3 * vectors, "innovations": 3 * gates, "gates": gates, "bias": 3}
-    fired = np.zeros((len(gyro) * steps, sum(sizes.values())), np.int8)
-    record_circuit(gyro, accel, settings, numbers, zero_states(core, 1)[0], fired)
-    parts = np.split(fired, np.cumsum(list(sizes.values()))[:-1], axis=1)
+    fired = np.zeros((1, len(gyro) * steps, sum(sizes.values())), np.int8)
+    readings = (np.ascontiguousarray(each, np.float64).reshape(1, -1) for each in (gyro, accel))
+    out = np.empty((1, 3 * len(gyro)))
+    core.kernel(*readings, NO_SET_POINTS, *core.arrays, zero_states(core, 1), out, fired)
+    parts = np.split(fired[0], np.cumsum(list(sizes.values()))[:-1], axis=1)
     signed = {}
     for name, part in zip(sizes, parts, strict=True):
         rows = part if name == "gates" else np.stack([part > 0, part < 0], axis=2)

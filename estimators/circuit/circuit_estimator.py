@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from quadsim.runs.compiled import njit
-
-from ..networks.encoder import ENCODER, INPUT_ONE, Scaling, encode_sample
+from ..networks.encoder import ENCODER, INPUT_ONE, Array, Scaling, encode
 from ..networks.network import NetworkEstimator
+from ..networks.weights_file import READINGS
 from .floats import FloatCircuit
 from .on_chip import place
 from .parameters import GRAVITY, OUTPUT, RATE_HZ, Parameters, quantised
@@ -43,18 +42,11 @@ def circuit_estimator(name: str, p: Parameters, steps: int = 4, rate_hz: float =
 class Silent:
     """Any network with a silent output: the estimate is always level. A `NetworkCore`."""
 
-    outputs = 3
-    state = ENCODER
+    outputs, state, arrays = 3, ENCODER, ()
 
-    def __init__(self) -> None:
-        self.arrays, self.kernel = (np.ravel(SCALING),), _count_missing
-
-
-@njit(cache=True)
-def _count_missing(gyro, accel, set_points, scaling, states, out):
-    """See `NetworkCore`."""
-    out[:] = 0
-    scales = Scaling(scaling[:6], scaling[6:])
-    for c in range(gyro.shape[0]):
-        for t in range(0, gyro.shape[1], 3):
-            encode_sample(gyro[c, t : t + 3], accel[c, t : t + 3], scales, states[c])
+    @staticmethod
+    def kernel(gyro: Array, accel: Array, set_points: Array, states: Array, out: Array) -> None:
+        """Count missing samples; see `NetworkCore`."""
+        out[:] = 0
+        readings = (each.reshape(len(each), -1, 3) for each in (gyro, accel))
+        encode(*readings, SCALING, states, np.empty((len(gyro), gyro.shape[1] // 3, READINGS)))

@@ -77,9 +77,8 @@ class Circuit(NamedTuple):
     take: Int32s  #: P, from vectors to innovations (3, V, Q)
     read: Int32s  #: R, of innovations by a quantum of force (3, Q)
     gate: Int32s  #: W, of gates by what is felt (Q, 5)
-    levels: (
-        Int32s  #: each gate's bias, start, decay, decay of its innovation, gain when readings resume (5, Q)
-    )
+    levels: Int32s
+    """Of each gate bias, start, decay, decay of its innovation, gain when readings resume (5, Q)."""
     sense: Int32s  #: decay of what is felt, weights of force, turn and first vector, bias of z (5,)
     learn: Int32s  #: vector, gate and κ of each product for the gyroscope's bias (pairs, 3)
     start: Int32s  #: z of each vector at the start (V,)

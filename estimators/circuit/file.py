@@ -6,16 +6,16 @@ from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field, JsonValue, ValidationError
+from pydantic import Field, JsonValue
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from quadsim.config.ranges import Between
-from quadsim.config.toml import Strict, describe
+from quadsim.config.toml import Strict
 from quadsim.runs.files import write_whole
 from quadsim.runs.fingerprint import ASSETS
 
-from ..networks.weights_file import CIRCUIT, END, ordered
+from ..networks.weights_file import CIRCUIT, END, Shapes, Tensors, check_shapes, ordered, read_tensors
 from .parameters import Parameters, expected_shapes
 
 FILE = ASSETS / "weights" / f"att-snn{END}"
@@ -49,6 +49,8 @@ def save_circuit(path: str | Path, config: CircuitConfig, p: Parameters) -> None
     Raises:
         ValueError: Parameters that do not fit the configuration, or are not finite.
     """
+    shapes = {name: value.shape for name, value in p._asdict().items()}
+    check_shapes(path, shapes, *_shapes(config, shapes))
     _check(path, config, p._asdict())
     tensors = {name: np.ascontiguousarray(value) for name, value in p._asdict().items()}
     metadata = {"format": CIRCUIT, "config": config.model_dump_json()}
@@ -80,23 +82,7 @@ def load_circuit(path: str | Path) -> CircuitFile:
     file = _place(path)
     if not file.is_file():
         raise FileNotFoundError(f"{path}: no such file of a circuit; the one that ships is att-snn")
-    try:
-        with safe_open(file, framework="numpy") as content:
-            metadata = content.metadata() or {}
-            if metadata.get("format") != CIRCUIT:
-                raise ValueError(f"{path}: not a circuit, but a network of layers or another file")
-            config = CircuitConfig.model_validate_json(metadata["config"])
-            declared = {name: tuple(content.get_slice(name).get_shape()) for name in content.keys()}  # noqa: SIM118
-            if wrong := sorted({*Parameters._fields} ^ {*declared}):
-                raise ValueError(
-                    f"{path}: tensor {wrong[0]} is {'unknown' if wrong[0] in declared else 'missing'}"
-                )
-            tensors = {name: content.get_tensor(name) for name in Parameters._fields}
-    except (SafetensorError, KeyError) as error:
-        raise ValueError(f"{path}: not a safetensors file of a circuit ({error})") from error
-    except ValidationError as error:
-        wrong = describe(error, CircuitConfig)
-        raise ValueError(f"{path}: a circuit of another version of quadsim: {wrong}") from error
+    config, tensors = read_tensors(file, CircuitConfig, CIRCUIT, _shapes)
     _check(path, config, tensors)
     return CircuitFile(config, Parameters(**tensors))
 
@@ -109,11 +95,12 @@ LARGEST = 1e4
 """Beyond any parameter of a circuit."""
 
 
-def _check(path: str | Path, config: CircuitConfig, tensors: dict[str, np.ndarray]) -> None:
-    for name, shape in expected_shapes(config.vectors, config.gates, len(tensors["pairs"])).items():
-        value = tensors[name]
-        if value.shape != shape:
-            raise ValueError(f"{path}: tensor {name} has shape {value.shape}, should be {shape}")
+def _shapes(config: CircuitConfig, found: Shapes) -> tuple[Shapes, Shapes]:
+    return expected_shapes(config.vectors, config.gates, found.get("pairs", (0,))[0]), {}
+
+
+def _check(path: str | Path, config: CircuitConfig, tensors: Tensors) -> None:
+    for name, value in tensors.items():
         if value.dtype != (np.int64 if name == "pairs" else np.float64):
             raise ValueError(f"{path}: tensor {name} is {value.dtype}")
         if not (np.abs(value) <= LARGEST).all():

@@ -204,9 +204,7 @@ def _learn(t, w, trace):
     bias, following = trace.bias[t], trace.bias[t + 1]
     n = bias.shape[1]
     passed = np.empty((3, n), F)
-    for i in range(3):
-        for c in range(n):
-            following[i, c] = bias[i, c]
+    following[:] = bias
     for p in range(w.learn.size):
         q = w.pairs[p, 1]
         x, e, opened = trace.x[t, w.pairs[p, 0]], trace.e[t + 1, q], trace.opened[t, q]

@@ -86,56 +86,38 @@ class SpikingCircuit:
 
 
 @njit(cache=True, nogil=True)
-def run_circuit(gyro, accel, set_points, settings, numbers, states, out):
-    """Run n copies over whole sequences, or one sample, from and to their states; see `NetworkCore`."""
+def run_circuit(gyro, accel, set_points, settings, numbers, states, out, fired=None):
+    """Run n copies over whole sequences, or one sample, from and to their states; see `NetworkCore`.
+
+    Where `fired` (n, T steps, 3 V + 3 Q + Q + 3) is given, the spikes of every step are written there: of
+    vectors by axis, innovations by axis, gates and bias, signed but for those of gates.
+    """
     scaling = Scaling(settings[:6], settings[6:12])
     steps, output, unit = int(settings[12]), int(settings[13]), settings[14]
     vectors, gates = int(settings[15]), int(settings[16])
     circuit, spikes = circuit_of(numbers, vectors, gates), no_spikes(vectors, gates)
+    passed, opened, learnt = 3 * vectors, 3 * (vectors + gates), 3 * vectors + 4 * gates
     for copy in range(states.shape[0]):
         row = states[copy]
         state = state_of(row, vectors, gates)
         if state.ring[0] == 0:
-            _begin(state, circuit)
+            for m in range(vectors):
+                state.x[2, m] = circuit.start[m]
+            for q in range(gates):
+                state.gate[q] = circuit.levels[1, q]
         for t in range(gyro.shape[1] // 3):
             part = slice(3 * t, 3 * t + 3)
             _sense(gyro[copy, part], accel[copy, part], scaling, row, state, circuit)
-            for _ in range(steps):
+            for k in range(steps):
                 step(row, state, circuit, steps, spikes)
+                if fired is not None:
+                    now = fired[copy, t * steps + k]
+                    now[:passed] = spikes.vectors.ravel()
+                    now[passed:opened] = state.passed.ravel()
+                    now[opened:learnt] = spikes.gates
+                    now[learnt:] = state.bias[2]
             for i in range(3):
                 out[copy, 3 * t + i] = state.x[i, output] * unit - (i == 2)
-
-
-@njit(cache=True, nogil=True)
-def record_circuit(gyro, accel, settings, numbers, row, fired):
-    """Run a copy from its start, and write what spikes in every step.
-
-    Args:
-        gyro: Body rate (T, 3) [rad/s].
-        accel: Specific force (T, 3) [m/s²].
-        settings: As `numbers` of `SpikingCircuit.arrays`.
-        numbers: The circuit.
-        row: Zeros, the numbers of a record of `SpikingCircuit.state`; changed.
-        fired: Spikes, signed but for those of gates, of vectors by axis, innovations by axis, gates and bias,
-            (T steps, 3 V + 3 Q + Q + 3); written.
-    """
-    scaling = Scaling(settings[:6], settings[6:12])
-    steps, vectors, gates = int(settings[12]), int(settings[15]), int(settings[16])
-    circuit, spikes, state = (
-        circuit_of(numbers, vectors, gates),
-        no_spikes(vectors, gates),
-        state_of(row, vectors, gates),
-    )
-    passed, opened, learnt = 3 * vectors, 3 * (vectors + gates), 3 * vectors + 4 * gates
-    _begin(state, circuit)
-    for k in range(fired.shape[0]):
-        if k % steps == 0:
-            _sense(gyro[k // steps], accel[k // steps], scaling, row, state, circuit)
-        step(row, state, circuit, steps, spikes)
-        fired[k, :passed] = spikes.vectors.ravel()
-        fired[k, passed:opened] = state.passed.ravel()
-        fired[k, opened:learnt] = spikes.gates
-        fired[k, learnt:] = state.bias[2]
 
 
 @njit(inline="always")
@@ -145,15 +127,6 @@ def _sense(gyro, accel, scaling, row, state, circuit):
     if state.ring[0] and resumed(row):
         for q in range(circuit.levels.shape[1]):
             state.gate[q] = _clipped(state.gate[q] + circuit.levels[4, q])
-
-
-@njit(inline="always")
-def _begin(state, circuit):
-    """The vectors and gates of a copy at its start."""
-    for m in range(circuit.start.size):
-        state.x[2, m] = circuit.start[m]
-    for q in range(circuit.levels.shape[1]):
-        state.gate[q] = circuit.levels[1, q]
 
 
 @njit

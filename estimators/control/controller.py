@@ -130,7 +130,7 @@ class SpikingController(BatchedNetwork):
 
     def reset(self, n: int) -> None:
         """Start n vehicles: at rest, with level set-points."""
-        self._begin(n)
+        self.begin(n)
         self._set_point = np.tile(LEVEL, (n, 1))
 
     def restart(self, ids: ArrayLike) -> None:

@@ -6,6 +6,7 @@ Estimators and controllers are the same code.
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from string import Template
 
@@ -19,7 +20,7 @@ from quadsim.vehicle import GRAVITY
 
 from ..control.controller import THRUST_MAX, set_point_gain
 from ..loihi.neurons import STATE_ONE
-from ..networks.encoder import HOLD, INPUT_MAX, input_scaling
+from ..networks.encoder import HOLD, INPUT_MAX, Scaling, input_scaling
 from ..networks.layer_parameters import PARAMETERS, complete, of_layer
 from ..networks.weights_file import NetworkConfig, Tensors, parameters
 from ..sanitise import RATE_STEP
@@ -69,7 +70,6 @@ def write_c(folder: str | Path, config: NetworkConfig, tensors: Tensors) -> None
     if not config.quantised or config.recurrent_delay != 1:
         raise ValueError("C99 needs quantised weights of att-snn with a recurrent delay of 1")
     name = CONTROLLER if config.controls else ESTIMATOR
-    offset, gain = input_scaling(config.inputs)
     values = {
         "n": name,
         "N": name.upper(),
@@ -82,21 +82,38 @@ def write_c(folder: str | Path, config: NetworkConfig, tensors: Tensors) -> None
         "outputs": config.n_outputs,
         "units": round(STATE_ONE / config.output_scale),
         "scale": repr(config.output_scale / STATE_ONE),
+        **encoder_values(input_scaling(config.inputs)),
+        **_set_points(config),
+        **_integers(tensors),
+    }
+    kept = {"CONTROLS": config.controls, "ESTIMATES": not config.controls}
+    write_sources(folder, "network", values, SECTION, lambda found: found[2] if kept[found[1]] else "")
+
+
+def encoder_values(scaling: Scaling) -> dict[str, object]:
+    """What the templates say of the encoding of readings."""
+    return {
         "input_max": INPUT_MAX,
         "rate_max": RATE_MAX,
         "force_max": FORCE_MAX,
         "rate_step": RATE_STEP,
         "hold": HOLD,
-        "offset": braces(offset),
-        "gain": braces(gain),
-        **_set_points(config),
-        **_integers(tensors),
+        "offset": braces(scaling.offset),
+        "gain": braces(scaling.gain),
     }
-    kept = {"CONTROLS": config.controls, "ESTIMATES": not config.controls}
+
+
+def write_sources(
+    folder: str | Path,
+    template: str,
+    values: Mapping[str, object],
+    pattern: re.Pattern[str],
+    part: Callable[[re.Match[str]], str],
+) -> None:
+    """Write header and source from templates, with `part` of what matches in its place."""
     for end in ("h", "c"):
-        text = (ASSETS / "c99" / f"network.{end}").read_text(encoding="utf-8")
-        text = SECTION.sub(lambda found: found[2] if kept[found[1]] else "", text)
-        write_whole(Path(folder) / f"{name}.{end}", Template(text).substitute(values))
+        text = pattern.sub(part, (ASSETS / "c99" / f"{template}.{end}").read_text(encoding="utf-8"))
+        write_whole(Path(folder) / f"{values['n']}.{end}", Template(text).substitute(values))
 
 
 def _set_points(config: NetworkConfig) -> dict[str, str | float]:

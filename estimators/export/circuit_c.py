@@ -7,13 +7,10 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from string import Template
 
 import numpy as np
 from numpy.typing import NDArray
 
-from quadsim.config.ranges import FORCE_MAX, RATE_MAX
-from quadsim.runs.files import write_whole
 from quadsim.runs.fingerprint import ASSETS
 
 from ..circuit import circuit_records as records
@@ -21,9 +18,8 @@ from ..circuit.circuit_estimator import SCALING
 from ..circuit.file import CircuitConfig
 from ..circuit.parameters import LEARNT, OUTPUT, RATE_HZ, Parameters, quantised
 from ..loihi.neurons import DECAY_ONE, STATE_MAX
-from ..networks.encoder import HOLD, INPUT_MAX
-from ..sanitise import RATE_STEP
-from .c_source import ESTIMATOR, braces
+from ..networks.layer_parameters import DECAY
+from .c_source import ESTIMATOR, braces, encoder_values, write_sources
 
 Ints = NDArray[np.integer]
 
@@ -60,12 +56,8 @@ def write_circuit_c(folder: str | Path, config: CircuitConfig, p: Parameters) ->
         "units": round(records.ONE / p.scale[OUTPUT]),
         "scale": repr(float(p.scale[OUTPUT] / records.ONE)),
         "steps": config.steps_per_sample,
-        "rate_max": RATE_MAX,
-        "force_max": FORCE_MAX,
-        "rate_step": RATE_STEP,
-        "hold": HOLD,
-        "offset": braces(SCALING.offset),
-        "gain": braces(SCALING.gain),
+        "output": OUTPUT,
+        **encoder_values(SCALING),
         **_constants(),
         **_integers(circuit),
     }
@@ -75,29 +67,22 @@ def write_circuit_c(folder: str | Path, config: CircuitConfig, p: Parameters) ->
         start, end = map(layers.index, PARTS[found[1]])
         return layers[start:end]
 
-    for end in ("h", "c"):
-        text = (ASSETS / "c99" / f"circuit.{end}").read_text(encoding="utf-8")
-        text = PART.sub(part, text)
-        write_whole(Path(folder) / f"{ESTIMATOR}.{end}", Template(text).substitute(values))
+    write_sources(folder, "circuit", values, PART, part)
+
+
+COPIED = (
+    "ONE_BITS", "BIAS_BITS", "INNOVATION_BITS", "FELT_BITS", "ANGLE_MAX", "LATER", "BIAS_UNITS", "TURN_BITS",
+    "LEAD",
+)  # fmt: skip
+"""Constants of all circuits that the templates name as the code does."""
 
 
 def _constants() -> dict[str, int | str]:
     """What all circuits have in common."""
-    return {
-        "output": OUTPUT,
-        "input_max": INPUT_MAX,
-        "one_bits": records.ONE_BITS,
-        "bias_bits": records.BIAS_BITS,
-        "innovation_bits": records.INNOVATION_BITS,
-        "felt_bits": records.FELT_BITS,
+    return {name.lower(): getattr(records, name) for name in COPIED} | {
         "angle_bits": records.ANGLE_UNITS.bit_length() - 1,
         "force_bits": records.FORCE_UNITS.bit_length() - 1,
-        "angle_max": records.ANGLE_MAX,
         "force_quanta": records.FORCE_MAX,
-        "later": records.LATER,
-        "bias_units": records.BIAS_UNITS,
-        "turn_bits": records.TURN_BITS,
-        "lead": records.LEAD,
         "ring_size": records.RING.size,
         "ring": braces(np.asarray(records.RING)),
     }
@@ -113,8 +98,8 @@ def _integers(circuit: records.Circuit) -> dict[str, int | str]:
         "start": braces(circuit.start),
         "onset": braces(onset),
         "resume": braces(resume),
-        "felt_keep": _keep(felt),
-        "drive_keep": _keep(int(smooth[0])),
+        "felt_keep": DECAY.in_c(felt),
+        "drive_keep": DECAY.in_c(int(smooth[0])),
         "felt_force": force,
         "felt_turn": turn,
         "felt_vector": vector,
@@ -124,7 +109,7 @@ def _integers(circuit: records.Circuit) -> dict[str, int | str]:
         weights = getattr(circuit, name)[DIRECTIONS].astype(np.int64)
         found[name], found[f"from_{name}"] = map(braces, _words(weights))
     rows = zip(level.tolist(), decays.tolist(), circuit.gate, strict=True)
-    found["gate"] = "{\n" + ",\n".join(f"{{{c}, {_keep(d)}, {braces(w)}}}" for c, d, w in rows) + "}"
+    found["gate"] = "{\n" + ",\n".join(f"{{{c}, {DECAY.in_c(d)}, {braces(w)}}}" for c, d, w in rows) + "}"
     pairs = circuit.learn if len(circuit.learn) else np.zeros((1, 3), np.int32)  # C has no empty arrays
     return found | {"pairs": len(pairs), "learn": braces(pairs)}
 
@@ -137,11 +122,6 @@ def _words(weights: Ints) -> tuple[Ints, Ints]:
     starts = np.concatenate([[0], ends[:-1, -1]])[:, None]
     words = weights[weights != 0] * 256 + targets
     return words if len(words) else np.zeros(1, np.int64), np.concatenate([starts, ends], 1)
-
-
-def _keep(decays: int) -> int:
-    """What a decay leaves, in units of 2^-31."""
-    return (DECAY_ONE - decays) << 19
 
 
 def _check(circuit: records.Circuit) -> None:

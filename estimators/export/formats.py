@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from ..circuit.file import is_circuit, load_circuit
-from ..networks.weights_file import load_network
+from ..networks.weights_file import NetworkConfig, load_network
 
 FORMATS = ("nir", "c99", "onnx")
-HOLD = {"att-snn": ("nir", "c99"), "att-rnn": ("onnx",)}
-"""Formats that can hold a network of a model."""
+HOLD = {"att-snn": ("nir", "c99"), "att-rnn": ("onnx",), "a circuit": ("c99",)}
+"""Formats that can hold a network of a model; NIR and ONNX cannot hold the products of a circuit."""
 
 
 def export_weights(weights: str | Path, out: str | Path, format: str) -> Path:
@@ -25,40 +26,22 @@ def export_weights(weights: str | Path, out: str | Path, format: str) -> Path:
         FileNotFoundError: No such weights.
         ValueError: An unknown format, one that cannot hold this network, or `out` exists.
     """
-    if is_circuit(weights):
-        return _export_circuit(weights, out, format)
-    config, tensors = load_network(weights)
-    if format not in HOLD[config.model]:
+    circuit = is_circuit(weights)
+    config, values = load_circuit(weights) if circuit else load_network(weights)
+    kind = config.model if isinstance(config, NetworkConfig) else "a circuit"
+    if format not in HOLD[kind]:
         known = "" if format in FORMATS else f'unknown format "{format}"; '
-        raise ValueError(
-            f"{known}weights of {config.model} are exported as {' or '.join(HOLD[config.model])}"
-        )
-    out = _free(out)
-    if format == "nir":
+        raise ValueError(f"{known}weights of {kind} are exported as {' or '.join(HOLD[kind])}")
+    if Path(out).exists():
+        raise ValueError(f"{out}: exists already, choose another name")
+    write: Callable[..., None]
+    if circuit:
+        from .circuit_c import write_circuit_c as write
+    elif format == "nir":
         from .nir_graph import write_nir as write
     elif format == "onnx":
         from .onnx_graph import write_onnx as write
     else:
         from .c_source import write_c as write
-    write(out, config, tensors)
-    return out
-
-
-def _export_circuit(weights: str | Path, out: str | Path, format: str) -> Path:
-    if format != "c99":
-        known = "" if format in FORMATS else f'unknown format "{format}"; '
-        raise ValueError(
-            f"{weights}: {known}a circuit is no chain of layers; "
-            "NIR and ONNX cannot hold its products; use c99"
-        )
-    from .circuit_c import write_circuit_c
-
-    out = _free(out)
-    write_circuit_c(out, *load_circuit(weights))
-    return out
-
-
-def _free(out: str | Path) -> Path:
-    if Path(out).exists():
-        raise ValueError(f"{out}: exists already, choose another name")
+    write(out, config, values)
     return Path(out)

@@ -73,7 +73,7 @@ def scaled_inputs(
     gyro, accel = np.ascontiguousarray(gyro, np.float64), np.ascontiguousarray(accel, np.float64)
     state = np.zeros(len(gyro), ENCODER) if state is None else state
     x = np.empty((*gyro.shape[:2], 6))
-    _encode(gyro, accel, input_scaling(inputs), state.view(np.float64).reshape(len(state), -1), x)
+    encode(gyro, accel, input_scaling(inputs), state.view(np.float64).reshape(len(state), -1), x)
     return x
 
 
@@ -115,7 +115,8 @@ def resumed(state):
 
 
 @njit(cache=True)
-def _encode(gyro, accel, scaling, state, x):
+def encode(gyro, accel, scaling, state, x):
+    """Write the inputs (n, T, 6) of readings (n, T, 3) twice, and change the numbers of the states."""
     for n in range(gyro.shape[0]):
         for t in range(gyro.shape[1]):
             encode_sample(gyro[n, t], accel[n, t], scaling, state[n])

@@ -107,6 +107,13 @@ class Spiking:
         """Which neurons spiked in the last step, from records (n,): (n, neurons)."""
         return states["v"] > self.weights.table[2]
 
+    def active(self, states: NDArray[np.void]) -> NDArray[np.bool_]:
+        """Which neurons had a current, a potential or a bias of the chip in the last step: (n, neurons)."""
+        used, first = states["v"] != 0, self.sizes[0]
+        used[:, :first] |= np.abs(states["current"]) >= 1 << BIAS_EXP
+        used[:, first:] |= states["u"] != 0
+        return used
+
 
 @njit(cache=True, nogil=True)
 def run_spiking(gyro, accel, set_points, settings, encoders, table, weights, states, out):
@@ -209,13 +216,6 @@ class OnLoihi(Spiking):
         super().__init__(config, tensors)
         self.layers = chip_layers(config, tensors)
         self.cores = partition(self.layers)
-
-    def active(self, states: NDArray[np.void]) -> NDArray[np.bool_]:
-        """Which neurons had a current, a potential or a bias in the last step: (n, neurons)."""
-        used, first = states["v"] != 0, self.sizes[0]
-        used[:, :first] |= np.abs(states["current"]) >= 1 << BIAS_EXP
-        used[:, first:] |= states["u"] != 0
-        return used
 
 
 def chip_layers(config: NetworkConfig, tensors: Tensors) -> list[LoihiLayer]:

@@ -86,10 +86,10 @@ class BatchedNetwork:
         rate_hz: Samples per second.
     """
 
-    def __init__(self, core: NetworkCore, rate_hz: float) -> None:
+    def __init__(self, core: NetworkCore, rate_hz: float = 200.0) -> None:
         self.core, self.rate_hz = core, rate_hz
 
-    def _begin(self, n: int) -> None:
+    def begin(self, n: int) -> None:
         """Start n vehicles at rest."""
         self._states = zero_states(self.core, n)
 
@@ -158,7 +158,7 @@ class NetworkEstimator(BatchedNetwork):
             ValueError: An initial attitude of another shape, or not finite.
         """
         _check_attitude(roll_pitch, n)
-        self._begin(n)
+        self.begin(n)
         self._sample = (n, 3)
         self.up = np.tile(LEVEL_UP, (n, 1)) if self.core.outputs == 3 else None
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,8 @@ from quadsim.runs.fingerprint import ASSETS
 from .layer_parameters import EXPONENTS, MATRICES, PARAMETERS, Weights
 
 Tensors = dict[str, NDArray[Any]]
+Shapes = dict[str, tuple[int, ...]]
+Config = TypeVar("Config", bound=Strict)
 END = ".safetensors"
 FORMAT = "3"
 """Version of the files, in their metadata. Files of quadsim 0.1 have none."""
@@ -33,10 +35,9 @@ READINGS, SET_POINTS = 6, 3
 """Inputs of every network, gyroscope first; what a controller has besides: roll, pitch, yaw rate."""
 CONTROLLER = "control-"
 """What the names of controllers that ship begin with."""
-DTYPES = {"I16": "int16", "F16": "float16", "F32": "float32", "F64": "float64"}
-"""NumPy's names of a file's types of numbers."""
 CIRCUIT = "circuit-1"
 """Format of files that hold a circuit (`estimators.circuit.file`)."""
+KINDS = {FORMAT: "a network of layers", CIRCUIT: "a circuit"}
 
 
 class InputScaling(Strict):
@@ -128,13 +129,13 @@ class NetworkConfig(Layers):
         return self.model == "att-snn" and self.quantised
 
 
-def expected_shapes(config: NetworkConfig) -> dict[str, tuple[int, ...]]:
+def expected_shapes(config: NetworkConfig) -> Shapes:
     """Names and shapes of the tensors of a network."""
     h0, h1, out = config.encoding, config.hidden, config.n_outputs
     if config.model == "att-snn":
         sizes = {"inputs": config.n_inputs, "encoding": h0, "hidden": h1, "outputs": out, "one": 1}
         return {name: tuple(sizes[axis] for axis in PARAMETERS[name].axes) for name in Weights._fields}
-    shapes: dict[str, tuple[int, ...]] = {"out.weight": (out, h1), "out.bias": (out,)}
+    shapes: Shapes = {"out.weight": (out, h1), "out.bias": (out,)}
     for layer, (inputs, units) in enumerate(((6, h0), (h0, h1))):
         shapes |= {f"gru.weight_ih_l{layer}": (3 * units, inputs), f"gru.bias_ih_l{layer}": (3 * units,)}
         shapes |= {f"gru.weight_hh_l{layer}": (3 * units, units), f"gru.bias_hh_l{layer}": (3 * units,)}
@@ -162,7 +163,7 @@ def save_network(path: str | Path, config: NetworkConfig, tensors: Mapping[str, 
     Raises:
         ValueError: Tensors that do not fit the configuration.
     """
-    _check_declared(path, config, {name: (v.shape, str(v.dtype)) for name, v in tensors.items()})
+    check_shapes(path, {name: value.shape for name, value in tensors.items()}, *_shapes(config))
     _check_values(path, config, tensors)
     plain = {name: np.ascontiguousarray(value) for name, value in tensors.items()}
     unused = None if config.controls else {"set_point"}
@@ -199,22 +200,28 @@ def load_network(path: str | Path) -> Network:
     path = ASSETS / "weights" / f"{path}{END}" if str(path) in shipped else Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such weights file; shipped: {', '.join(shipped)}")
-    try:
-        with safe_open(path, framework="numpy") as file:
-            config = _config_of(path, file.metadata() or {})
-            slices = {name: file.get_slice(name) for name in file.keys()}  # noqa: SIM118  (not a mapping)
-            declared = {
-                name: (tuple(s.get_shape()), DTYPES.get(kind := str(s.get_dtype()), kind))
-                for name, s in slices.items()
-            }
-            _check_declared(
-                path, config, declared
-            )  # before a number is read: a small file may declare gigabytes
-            tensors = {name: file.get_tensor(name) for name in declared}
-    except SafetensorError as error:
-        raise ValueError(f"{path}: not a safetensors file ({error})") from error
+    config, tensors = read_tensors(path, NetworkConfig, FORMAT, lambda config, _: _shapes(config))
     _check_values(path, config, tensors)
     return Network(config, tensors)
+
+
+def read_tensors(
+    path: Path, kind: type[Config], format: str, shapes: Callable[[Config, Shapes], tuple[Shapes, Shapes]]
+) -> tuple[Config, Tensors]:
+    """Configuration and tensors of a file; `shapes` gives those for `check_shapes`.
+
+    Raises:
+        ValueError: One line: not a file of this format, or other tensors.
+    """
+    try:
+        with safe_open(path, framework="numpy") as file:
+            config = _config_of(path, file.metadata() or {}, kind, format)
+            declared = {name: tuple(file.get_slice(name).get_shape()) for name in file.keys()}  # noqa: SIM118
+            # before a number is read: a small file may declare gigabytes
+            check_shapes(path, declared, *shapes(config, declared))
+            return config, {name: file.get_tensor(name) for name in declared}
+    except (SafetensorError, TypeError) as error:
+        raise ValueError(f"{path}: not a safetensors file, or of unknown numbers ({error})") from error
 
 
 def attitude_network(path: str | Path) -> Network:
@@ -244,41 +251,44 @@ def _shipped() -> list[str]:
     return sorted(each.stem for each in (ASSETS / "weights").glob(f"*{END}"))
 
 
-def _config_of(path: Path, metadata: Mapping[str, str]) -> NetworkConfig:
-    if "config" not in metadata:
-        raise ValueError(f"{path}: no network configuration in the metadata")
-    if (found := metadata.get("format")) != FORMAT:
-        if found == CIRCUIT:
-            layered = ", ".join(name for name in shipped_names() if name != "att-snn")
-            raise ValueError(f"{path}: a circuit, not a network of layers; of these ship {layered}")
+def _config_of(path: Path, metadata: Mapping[str, str], kind: type[Config], format: str) -> Config:
+    if (found := metadata.get("format")) in KINDS and found != format:
+        raise ValueError(f"{path}: {KINDS[found]}, not {KINDS[format]}")
+    if found != format:
         of = "of quadsim 0.1" if found is None else f"of format {found!r}"
-        raise ValueError(f"{path}: weights {of}, this version of quadsim reads {FORMAT!r}; train them again")
+        raise ValueError(f"{path}: weights {of}, this version of quadsim reads {format!r}; train them again")
     try:
-        return NetworkConfig.model_validate_json(metadata["config"])
+        return kind.model_validate_json(metadata.get("config", ""))
     except ValidationError as error:
-        wrong = describe(error, NetworkConfig)
+        wrong = describe(error, kind)
         raise ValueError(f"{path}: weights of another version of quadsim: {wrong}") from error
 
 
-def _check_declared(
-    path: str | Path, config: NetworkConfig, declared: Mapping[str, tuple[tuple[int, ...], str]]
-) -> None:
-    """Compare shapes and types of tensors with those of the network, without their numbers."""
-    wanted, whole = expected_shapes(config), config.whole
-    wanted |= {name: (config.hidden,) for name in EXPONENTS.values() if whole}
-    lacking = set(wanted) - set(declared)
-    if missing := sorted(name for name in lacking if name not in PARAMETERS or not PARAMETERS[name].optional):
+def _shapes(config: NetworkConfig) -> tuple[Shapes, Shapes]:
+    """Of the tensors that a network has, and of those that it may have besides."""
+    return expected_shapes(config), {name: (config.hidden,) for name in EXPONENTS.values() if config.whole}
+
+
+def check_shapes(path: str | Path, found: Shapes, needed: Shapes, optional: Shapes) -> None:
+    """Compare names and shapes of a file's tensors with what they should be.
+
+    Raises:
+        ValueError: One line: the first tensor that is missing, unknown or of another shape.
+    """
+    wanted = needed | optional
+    if missing := sorted(set(needed) - set(found)):
         raise ValueError(f"{path}: tensor {missing[0]} is missing")
-    if extra := sorted(set(declared) - set(wanted)):
-        raise ValueError(f"{path}: unknown tensor {extra[0]}, {config.model} has {', '.join(wanted)}")
-    for name, (shape, dtype) in declared.items():
+    for name, shape in found.items():
+        if name not in wanted:
+            raise ValueError(f"{path}: unknown tensor {name}, there are {', '.join(wanted)}")
         if shape != wanted[name]:
             raise ValueError(f"{path}: tensor {name} has shape {shape}, should be {wanted[name]}")
-        if dtype not in (["int16"] if whole else ["float16", "float32", "float64"]):
-            raise ValueError(f"{path}: tensor {name} is {dtype}, should be {'int16' if whole else 'float'}")
 
 
 def _check_values(path: str | Path, config: NetworkConfig, tensors: Mapping[str, NDArray[Any]]) -> None:
+    number = "int16" if config.whole else "float"
+    if wrong := [name for name, value in tensors.items() if not value.dtype.name.startswith(number)]:
+        raise ValueError(f"{path}: tensor {wrong[0]} is {tensors[wrong[0]].dtype}, should be {number}")
     for name, value in tensors.items():
         if not np.all(np.isfinite(value)):
             raise ValueError(f"{path}: tensor {name} has values that are not finite")

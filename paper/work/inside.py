@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from estimators.analysis.ablation import ablation, error_deg, without
+from estimators.analysis.ablation import error_deg, pruned, without
 from estimators.analysis.activity import record
 from estimators.analysis.energy import costs, counts, gru_flops, snn_flops
 from estimators.analysis.manipulation import responses
@@ -37,7 +37,10 @@ def look(folder: Path, inputs: Inputs) -> Numbers:
     left = without(config, tensors, [np.flatnonzero(rate >= RARE) for rate in rates])
     rng = np.random.default_rng(0)
     values = {"activity": rates, "random": [rng.random(rate.size) for rate in rates]}
-    curves = {by: ablation(config, tensors, each, FRACTIONS, flights) for by, each in values.items()}
+    curves = {
+        by: [error_deg(*pruned(config, tensors, each, fraction), flights) for fraction in FRACTIONS]
+        for by, each in values.items()
+    }
     twin, _ = load_network(inputs[rnn] / WEIGHTS)
     spikes = float(rates[0].sum()), float(rates[1].sum())
     flops = snn_flops(config.encoding, config.hidden, spikes, config.n_outputs)
@@ -48,7 +51,7 @@ def look(folder: Path, inputs: Inputs) -> Numbers:
             "neurons": left[0].encoding + left[0].hidden,
         },
         "fractions": FRACTIONS,
-        "ablation": {by: errors.tolist() for by, errors in curves.items()},
+        "ablation": curves,
         "costs": [asdict(each) for each in costs(counts(core.cores, activity))],
         "flops": flops | {"gru": gru_flops(twin.encoding, twin.hidden, twin.n_outputs)},
     }

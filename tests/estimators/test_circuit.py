@@ -7,7 +7,7 @@ from imu_errors import ADIS, at_rest
 from plain_circuit import PlainCircuit, plain_floats
 
 from estimators import create, run
-from estimators.circuit.circuit_estimator import SCALING, circuit_estimator
+from estimators.circuit.circuit_estimator import SCALING, Silent, circuit_estimator
 from estimators.circuit.file import CircuitConfig, is_circuit, load_circuit, save_circuit
 from estimators.circuit.floats import new_trace, run_floats, stepped
 from estimators.circuit.on_chip import place, populations
@@ -180,6 +180,14 @@ def test_a_resting_imu_stays_level():
         assert np.degrees(np.abs(create(name, weights=SHIPPED).sequence(gyro, accel))[0, 1000:]).max() < 4
 
 
+def test_a_silent_network_is_level_and_counts_missing_samples():
+    est, (gyro, accel) = NetworkEstimator(Silent(), RATE_HZ), samples(2, 50)
+    gyro[0, 5], accel[0, 9] = np.nan, np.nan
+    est.reset(2)
+    assert not est.sequence(gyro, accel).any()
+    assert est.skipped.tolist() == [2, 0]
+
+
 def test_a_file_is_read_back_and_the_same_bytes(tmp_path):
     p = untrained(5, 9, seed=4, weight_noise=1.0)
     config = CircuitConfig(vectors=5, gates=9, training={"seed": 4})
@@ -214,7 +222,7 @@ def test_parameters_that_do_not_fit_are_refused(tmp_path, change, said):
 def test_other_files_are_refused_in_one_line(tmp_path):
     (tmp_path / "x.safetensors").write_bytes(b"no")
     for load, error, said in (
-        (lambda: load_circuit(tmp_path / "x.safetensors"), ValueError, "not a safetensors file of a circuit"),
+        (lambda: load_circuit(tmp_path / "x.safetensors"), ValueError, "not a safetensors file"),
         (lambda: load_circuit("assets/weights/att-snn-paper.safetensors"), ValueError, "not a circuit"),
         (lambda: load_circuit(tmp_path / "none"), FileNotFoundError, "no such file of a circuit"),
         (lambda: create(SHIPPED, 100.0), ValueError, "the circuit is for 200 Hz, not for 100 Hz"),

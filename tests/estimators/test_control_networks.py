@@ -165,10 +165,3 @@ def test_a_network_has_one_task(changes, reason):
 
 def test_controllers_that_ship_are_listed_apart_from_estimators():
     assert not set(shipped_controllers()) & {*shipped_names(), *names()}
-
-
-@pytest.mark.parametrize("name", shipped_controllers())
-def test_a_controller_that_ships_runs_alike_in_floats_and_on_the_emulated_chip(name):
-    plain, chip = create_controller(name), create_controller(f"{name}-loihi")
-    signals = readings(1, 300)
-    assert np.array_equal(plain.sequence(*signals), chip.sequence(*signals))

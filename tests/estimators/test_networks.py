@@ -61,8 +61,8 @@ def test_a_network_has_every_state_of_its_layers_on_the_emulated_chip(tmp_path, 
     config, tensors = load_network(name) if name else (SNN, random_snn(SNN))
     core = OnLoihi(config, tensors)
     chip = LoihiNetwork([LoihiLayer(**vars(layer) | BIAS) for layer in core.layers])
-    est, spikes = BatchedNetwork(core, 200.0), np.zeros(2, int)
-    est._begin(1)
+    est, spikes = BatchedNetwork(core), np.zeros(2, int)
+    est.begin(1)
     gyro, accel = samples(1, 600, 3)
     wanted = np.random.default_rng(0).integers(-1000, 1000, (1, 600, 3)).astype(float)
     current, w_in = np.zeros(config.encoding, int), tensors["w_in"].astype(int)
@@ -209,6 +209,8 @@ def test_bad_files_give_one_clear_line(tmp_path, snn_file, rnn_file):
     ):
         with pytest.raises(ValueError, match=message):
             save_network(path, config, tensors | change)
+    with pytest.raises(ValueError, match="tensor w_ff is missing"):
+        save_network(path, config, {name: each for name, each in tensors.items() if name != "w_ff"})
     with pytest.raises(ValueError, match=r"gyro \(1, 2\)"):
         create_network("att-snn", weights=snn_file).update(np.zeros((1, 2)), np.zeros((1, 3)))
 
@@ -220,7 +222,7 @@ def test_bad_files_give_one_clear_line(tmp_path, snn_file, rnn_file):
         ({"w_in": ("BF16", [40_000_000])}, r"w_in has shape \(40000000,\), should be \(100, 6\)"),
         ({"more": ("I16", [40_000_000])}, "unknown tensor more"),
         ({"w_rec": ("F64", [100, 100])}, "w_rec is float64, should be int16"),
-        ({"w_rec": ("BF16", [100, 100])}, "w_rec is BF16, should be int16"),
+        ({"w_rec": ("BF16", [100, 100])}, "w_rec is bfloat16, should be int16|of unknown numbers"),
     ],
 )
 def test_declared_shapes_and_types_are_refused_before_a_number_is_read(tmp_path, changes, message):

@@ -15,7 +15,7 @@ from quadsim.flight.recipe import load_recipe
 from quadsim.held_out import load_held_out
 from quadsim.rotation import roll_pitch_from_quat
 from training.config import make_config
-from training.data import flights_of, load_training_flights, network_inputs, split, windows
+from training.data import flights_of, load_training_flights, split, windows
 from training.windows import Windows
 
 
@@ -57,19 +57,6 @@ def test_a_stream_lasts_from_one_window_to_the_most(dataset):
     assert set(lengths) == {1, 2, 3, 4}
     shares = np.bincount(lengths)[1:] / lengths.size  # evenly in the logarithm, up to 5
     np.testing.assert_allclose(shares, np.diff(np.log([1, 2, 3, 4, 5])) / np.log(5), atol=0.06)
-
-
-@pytest.mark.parametrize("model", ["att-snn", "att-rnn"])
-def test_networks_are_fed_scaled_readings_and_nothing_else(dataset, model):
-    inputs = {"gyro": 2.5, "accel": (1.0, 1.0, 4.0), "accel_offset": (0.0, 0.0, 9.81)}
-    sizes = {"batches": 3, "batch_size": 8, "windows_per_stream": 2}
-    config = make_config(data=dataset, model=model, inputs=inputs, **sizes)
-    scaling = config.inputs
-    for batch in windows(load_training_flights([dataset]), config, 100, (0, 1)):
-        readings = np.concatenate([batch.gyro, batch.accel - np.array(scaling.accel_offset)], 2)
-        expected = readings / np.array([*[scaling.gyro] * 3, *scaling.accel])
-        x = network_inputs(config, batch).numpy()
-        np.testing.assert_allclose(x, expected, rtol=0, atol=1 / 2048 + 1e-6)
 
 
 def test_split_has_every_flight_once():

@@ -31,19 +31,19 @@ def gradients(output, rates, weights, seed=2):
     return torch.autograd.grad(loss, tuple(weights), materialize_grads=True)
 
 
-SMALL = [(5, 60, 13, 9, 1), (1, 4, 3, 4, 1)]
+SMALL = [(5, 60, 13, 9), (1, 4, 3, 4)]
 EVERY_WAY = [(quantised, delay, size) for quantised in (False, True) for delay in (1, 2) for size in SMALL]
-FULL_SIZE = (8, 90, 100, 100, 2)
+FULL_SIZE = (8, 90, 100, 100)
 
 
 @pytest.mark.parametrize(
     ("quantised", "delay", "size"), [*EVERY_WAY, (False, 2, FULL_SIZE), (True, 1, FULL_SIZE)]
 )
 def test_fused_kernels_equal_plain_pytorch(quantised, delay, size):
-    n, steps, h0, h1, threads = size
+    n, steps, h0, h1 = size
     weights = random_weights(h0, h1, quantised=quantised)
     x = random_input(n, steps)
-    reference, fused = Plain(quantised, delay), Fused(quantised, delay, threads)
+    reference, fused = Plain(quantised, delay), Fused(quantised, delay)
     expected, expected_rates = reference.forward(x, weights)
     output, rates = fused.forward(x, weights)
     np.testing.assert_allclose(rates.detach(), expected_rates.detach(), rtol=1e-12)
@@ -85,7 +85,7 @@ def test_windows_go_on_with_neurons_whose_potential_is_at_the_chip_s_limit():
         weights.syn1[:], weights.mem1[:] = 4095 / 4096, 4095 / 4096
     kernels = Fused()
     whole = kernels.forward(x, weights)[0].detach()
-    assert kernels._last.traces[0].v.min() == -(2**23 - 1) / 2**14
+    assert kernels.trace.v.min() == -(2**23 - 1) / 2**14
     windows = zip(x.split(400, 1), (True, False, False), strict=True)
     parts = [kernels.forward(part, weights, np.full(3, reset))[0].detach() for part, reset in windows]
     np.testing.assert_array_equal(torch.cat(parts, 1), whole)
@@ -107,31 +107,12 @@ def test_a_trace_that_is_overwritten_is_not_used():
         first.sum().backward()
 
 
-def chain(x, tau=0.5):
-    """Output potentials and spikes of both layers of a window x (T,) of the network in floats."""
-    one = torch.ones(1, 1, dtype=torch.float64)
-    taus = [torch.full((1,), tau, dtype=torch.float64)] * 6
-    w_in = torch.cat([one] + [0 * one] * 5, 1)
-    readings = torch.zeros(1, len(x), 6, dtype=torch.float64)
-    readings[0, :, 0] = torch.as_tensor(x)
-    kernels = Fused(quantised=False)
-    out, _ = kernels.forward(readings, Weights(w_in, one * 0.75, one * 0, one, *taus))
-    return out[0, :, 0], *(spikes[0, :, 0] for spikes in kernels.spikes())
-
-
 def test_superspike_is_a_step_with_the_gradient_of_the_paper():
     x = torch.tensor([-0.3, 0.0, 0.2], requires_grad=True)
     y = superspike(x)
     y.sum().backward()
     assert y.tolist() == [0.0, 0.0, 1.0]
     np.testing.assert_allclose(x.grad, 1 / (1 + 20 * np.abs([-0.3, 0.0, 0.2])) ** 2, rtol=1e-6)
-
-
-def test_a_sample_reaches_the_output_in_the_third_step():
-    out, encoding, hidden = chain([1.0, 0, 0, 0, 0], tau=0.1)
-    assert encoding.tolist() == [1, 0, 0, 0, 0]
-    assert hidden.tolist() == [0, 1, 0, 0, 0]
-    np.testing.assert_allclose(out[:3], [0.0, 0.0, 1.0])
 
 
 def test_recurrent_delay_of_two_is_the_papers_convention():

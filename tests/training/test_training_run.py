@@ -82,7 +82,6 @@ def test_a_killed_run_resumes_to_the_same_weights(dataset, tmp_path, model):
     for name in whole["model"]:
         np.testing.assert_array_equal(whole["model"][name], cut["model"][name])
     np.testing.assert_equal(weights_of(tmp_path / "cut"), weights_of(tmp_path / "whole"))
-    train(out=tmp_path / "cut", **choices, threads=2)  # another number of threads is the same run
 
 
 def test_a_neuron_has_the_finest_exponent_that_holds_its_weights(dataset, tmp_path):

@@ -6,8 +6,6 @@ is taken as given, and a gate that is shut or fully open keeps `LEAK` of the gra
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,6 +16,7 @@ from estimators.circuit.floats import (
     F,
     Senses,
     Signals,
+    Steps,
     new_trace,
     run_floats,
     stepped,
@@ -26,7 +25,7 @@ from estimators.circuit.floats import (
 from estimators.circuit.parameters import FELT, LEARNT, OUTPUT, RATE_HZ, Parameters
 from quadsim.runs.compiled import njit
 
-from .streams import StreamBatch
+from .streams import Streams
 
 Floats = NDArray[np.float32]
 LEAK = F(0.3)
@@ -36,19 +35,7 @@ LENGTH_COST = 0.02
 """Weight of the squared difference of the estimate's length from 1."""
 
 
-class Slopes(NamedTuple):
-    """Gradients by what `Steps` holds, and by the gates' openings."""
-
-    mix: Floats
-    pull: Floats
-    give: Floats
-    take: Floats
-    read: Floats
-    learn: Floats
-    opened: Floats
-
-
-def begin(p: Parameters, batch: StreamBatch) -> tuple[Signals, Senses]:
+def begin(p: Parameters, batch: Streams) -> tuple[Signals, Senses]:
     """Room for a run over a batch, at its start: as always, or with attitude and bias known."""
     trace, senses = new_trace(p, len(batch.angle), len(batch.known))
     known = np.flatnonzero(batch.known)
@@ -58,9 +45,7 @@ def begin(p: Parameters, batch: StreamBatch) -> tuple[Signals, Senses]:
     return trace, senses
 
 
-def loss_and_gradient(
-    p: Parameters, batch: StreamBatch, weights: Floats
-) -> tuple[float, Parameters, Signals]:
+def loss_and_gradient(p: Parameters, batch: Streams, weights: Floats) -> tuple[float, Parameters, Signals]:
     """The loss of a batch of streams and its gradient.
 
     Args:
@@ -72,20 +57,33 @@ def loss_and_gradient(
         The loss: mean of √(|error|² + ROUNDING²) - ROUNDING of the normalised estimate, and the cost of its
         length; its gradient, where `LEARNT` is not 0; and the trace.
     """
-    w, (trace, senses), (angle, force, again, up, _, known) = stepped(p), begin(p, batch), batch
-    run_floats(angle, force, again, w, trace, senses)
-    loss, outer = _loss(trace.x[1:, OUTPUT], up, weights / (weights.sum() * len(angle)))
-    learnt = w.mix, w.pull, w.give, w.take, w.read, w.learn, trace.opened
-    slopes = Slopes(*map(np.zeros_like, learnt))
-    _backward(angle, force, w, trace, outer, slopes)
-    gate, level, onset, resume = (np.zeros_like(each, F) for each in (w.gate, w.level, w.level, w.level))
-    _gates(slopes.opened, trace, w.share, again, known, gate, level, onset, resume)
+    w, (trace, senses) = stepped(p), begin(p, batch)
+    run_floats(batch.angle, batch.force, batch.again, w, trace, senses)
+    loss, outer = _loss(trace.x[1:, OUTPUT], batch.up, weights / (weights.sum() * len(batch.angle)))
+    slopes = Steps._make(map(np.zeros_like, w))
+    opened, onset = np.zeros_like(trace.opened), np.zeros_like(w.level)
+    _backward(batch.angle, batch.force, w, trace, outer, slopes, opened)
+    _gates(opened, trace, w.share, batch.again, batch.known, slopes, onset)
     dt = 1 / RATE_HZ
     body = {"mix": (0, dt), "pull": (0, dt), "give": (1, dt), "take": (1, 1.0), "read": (1, 1.0)}
     found = {name: _planes(getattr(slopes, name), axis) * unit for name, (axis, unit) in body.items()}
-    found |= {"learn": slopes.learn * dt, "gate": gate, "level": level, "onset": onset, "resume": resume}
+    found |= {name: getattr(slopes, name) for name in ("gate", "level", "resume")}
+    found |= {"learn": slopes.learn * dt, "onset": onset}
     rest = {name: np.zeros_like(value) for name, value in p._asdict().items() if name not in LEARNT}
     return loss, p._replace(**rest, **{name: each.astype(np.float64) for name, each in found.items()}), trace
+
+
+def run_batch(p: Parameters, batch: Streams) -> Signals:
+    """Run the circuit over streams."""
+    trace, senses = begin(p, batch)
+    run_floats(batch.angle, batch.force, batch.again, stepped(p), trace, senses)
+    return trace
+
+
+def cosine(trace: Signals, up: Floats) -> Floats:
+    """Of the angles between the estimates and up (T, 3, n), shape (T, n)."""
+    estimate = trace.x[1:, OUTPUT]
+    return (estimate * up).sum(1) / np.linalg.norm(estimate, axis=1)
 
 
 def _planes(values: Floats, axis: int) -> Floats:
@@ -108,8 +106,8 @@ def _loss(estimate: Floats, up: Floats, weights: Floats) -> tuple[float, Floats]
 
 
 @njit(cache=True, error_model="numpy", fastmath=True)
-def _backward(angle, force, w, trace, outer, slopes):
-    """From the gradient by the estimates (T, 3, n) to that by everything else, added to `slopes`."""
+def _backward(angle, force, w, trace, outer, slopes, of_opened):
+    """From the gradient by the estimates (T, 3, n) to that by all else, added to the last two."""
     n, (gates, vectors) = angle.shape[2], (w.give.shape[0], w.pull.shape[1])
     x_bar, earlier = np.zeros((vectors, 3, n), F), np.zeros((vectors, 3, n), F)
     b_bar, e_bar = np.zeros((3, n), F), np.zeros((gates, 3, n), F)
@@ -130,7 +128,7 @@ def _backward(angle, force, w, trace, outer, slopes):
         b_next = b_bar + free * _turned_back(turn, x, x_bar, earlier)
         _mixed_back(force[t], x, x_bar, earlier, w, slopes)
         _learnt_back(x, d, b_bar, earlier, d_bar, w, slopes)
-        _passed_back(t, force[t], x, x_bar, e, opened, d, d_bar, e_bar, earlier, w, slopes)
+        _passed_back(force[t], x, x_bar, e, opened, d, d_bar, e_bar, earlier, w, slopes, of_opened[t])
         x_bar, earlier = earlier, x_bar
         b_bar = b_next
 
@@ -188,7 +186,7 @@ def _learnt_back(x, d, b_bar, earlier, d_bar, w, slopes):
 
 
 @njit(fastmath=True)
-def _passed_back(t, force, x, x_bar, e, opened, d, d_bar, e_bar, earlier, w, slopes):
+def _passed_back(force, x, x_bar, e, opened, d, d_bar, e_bar, earlier, w, slopes, of_opened):
     """The same for innovations and gates."""
     n, vectors = force.shape[1], x.shape[0]
     for q in range(e.shape[0]):
@@ -204,7 +202,7 @@ def _passed_back(t, force, x, x_bar, e, opened, d, d_bar, e_bar, earlier, w, slo
                 share = min(max(opened[q, c], F(0)), F(1))
                 kept = min(max(e[q, i, c], F(-2)), F(2))
                 inside = F(abs(share * kept) < 1)
-                slopes.opened[t, q, c] += inside * d_bar[q, i, c] * kept
+                of_opened[q, c] += inside * d_bar[q, i, c] * kept
                 of_e = e_bar[q, i, c] + d_bar[q, i, c] * inside * F(abs(e[q, i, c]) < 2) * share
                 e_bar[q, i, c] = (F(1) - SMOOTH) * of_e
                 d_bar[q, i, c] = SMOOTH * of_e
@@ -219,7 +217,7 @@ def _passed_back(t, force, x, x_bar, e, opened, d, d_bar, e_bar, earlier, w, slo
 
 
 @njit(cache=True, error_model="numpy", fastmath=True)
-def _gates(slope, trace, share, again, known, gate, level, onset, resume):
+def _gates(slope, trace, share, again, known, slopes, onset):
     """From the gradient by the gates' openings to that by their weights, levels, onsets and resumptions."""
     steps, gates, n = slope.shape
     u_bar = np.zeros((gates, n), F)
@@ -231,13 +229,13 @@ def _gates(slope, trace, share, again, known, gate, level, onset, resume):
                     down *= LEAK * (down > 0)
                 elif opened <= 0:
                     down *= LEAK * (down < 0)
-                level[q] += down
+                slopes.level[q] += down
                 u_bar[q, c] += down
                 for k in range(FELT):
-                    gate[q, k] += u_bar[q, c] * share[q] * trace.felt[t, k, c]
+                    slopes.gate[q, k] += u_bar[q, c] * share[q] * trace.felt[t, k, c]
                 u_bar[q, c] *= F(1) - share[q]
                 if again[t, c]:
-                    resume[q] += u_bar[q, c]
+                    slopes.resume[q] += u_bar[q, c]
     for q in range(gates):
         for c in range(n):
             if not known[c]:

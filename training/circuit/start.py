@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from estimators.circuit.floats import F, new_trace, run_floats, stepped
-from estimators.circuit.parameters import FAST, OUTPUT, RATE_HZ, SLOW, Parameters
+from estimators.circuit.floats import F
+from estimators.circuit.parameters import FAST, RATE_HZ, SLOW, Parameters
+
+from .gradient import cosine, run_batch
+from .streams import Streams
 
 QUICK = 4096 / (85 * 800)
 """Time constant of a gate that is open only at the start [s]."""
@@ -38,10 +41,8 @@ def settling_s(p: Parameters) -> float:
     """Time until the error of a constant tilt stays below `SETTLED_DEG`, the longest of four [s]."""
     steps, azimuth, tilt = round(WAIT_S * RATE_HZ), np.arange(4) * np.pi / 2, np.radians(TILT_DEG)
     up = np.stack([np.sin(tilt) * np.cos(azimuth), np.sin(tilt) * np.sin(azimuth), np.full(4, np.cos(tilt))])
-    rest, force = np.zeros((steps, 3, 4), F), np.repeat(up[None].astype(F), steps, axis=0)
-    trace, senses = new_trace(p, steps, 4)
-    run_floats(rest, force, np.zeros((steps, 4), np.bool_), stepped(p), trace, senses)
-    estimate = trace.x[1:, OUTPUT]
-    cosine = (estimate * up).sum(1) / np.linalg.norm(estimate, axis=1)
-    away = np.flatnonzero((cosine < np.cos(np.radians(SETTLED_DEG))).any(axis=1))
+    force = np.repeat(up[None].astype(F), steps, axis=0)
+    none, zero = np.zeros((steps, 4), np.bool_), np.zeros((3, 4), F)
+    trace = run_batch(p, Streams(0 * force, force, none, force, zero, none[0]))
+    away = np.flatnonzero((cosine(trace, up) < np.cos(np.radians(SETTLED_DEG))).any(axis=1))
     return float(away[-1] + 1) / RATE_HZ if away.size else 0.0

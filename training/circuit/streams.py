@@ -32,34 +32,19 @@ SWAY_HZ, SWAY_M, SWAY_MAX = (0.3, 2.5), 0.5, 40.0
 position is bounded, and its acceleration may be large."""
 
 
-class StreamBatch(NamedTuple):
-    """Some streams, with the copies last as the kernels have them."""
-
-    angle: Floats  #: (T, 3, n)
-    force: Floats  #: (T, 3, n)
-    again: NDArray[np.bool_]  #: (T, n)
-    up: Floats  #: (T, 3, n)
-    bias: Floats  #: (3, n)
-    known: NDArray[np.bool_]  #: (n,)
-
-
 class Streams(NamedTuple):
-    """Readings and what they should give, by stream."""
+    """Readings of n streams and what they should give, with the streams last as the kernels have them."""
 
-    angle: Floats  #: body rate times the time of a sample (streams, T, 3) [rad]
-    force: Floats  #: specific force (streams, T, 3) [9.81 m/s²]
-    again: NDArray[np.bool_]  #: whether readings resume after a gap (streams, T)
-    up: Floats  #: the world's up in body axes (streams, T, 3)
-    bias: Floats  #: of the gyroscope, as far as `up` tells it (streams, 3) [rad/s]
-    known: NDArray[np.bool_]  #: whether a stream begins with its attitude and bias known (streams,)
+    angle: Floats  #: body rate times the time of a sample (T, 3, n) [rad]
+    force: Floats  #: specific force (T, 3, n) [9.81 m/s²]
+    again: NDArray[np.bool_]  #: whether readings resume after a gap (T, n)
+    up: Floats  #: the world's up in body axes (T, 3, n)
+    bias: Floats  #: of the gyroscope, as far as `up` tells it (3, n) [rad/s]
+    known: NDArray[np.bool_]  #: whether a stream begins with its attitude and bias known (n,)
 
-    def batch(self, rows: NDArray[np.int64]) -> StreamBatch:
+    def batch(self, rows: NDArray[np.int64]) -> Streams:
         """Some of them."""
-        angle, force, up = (
-            np.ascontiguousarray(each[rows].transpose(1, 2, 0)) for each in (self.angle, self.force, self.up)
-        )
-        again = np.ascontiguousarray(self.again[rows].T)
-        return StreamBatch(angle, force, again, up, np.ascontiguousarray(self.bias[rows].T), self.known[rows])
+        return Streams._make(np.ascontiguousarray(each[..., rows]) for each in self)
 
 
 def draw_streams(
@@ -74,8 +59,8 @@ def draw_streams(
     hand_share = recipe.hand_share if flights and hands else float(not flights)
     count, blocks = recipe.streams, -(-recipe.streams // BLOCK)
     kinds = rng.random(blocks) < hand_share
-    angle, force, up = (np.empty((count, steps, 3), np.float32) for _ in range(3))
-    again, bias = np.zeros((count, steps), np.bool_), np.empty((count, 3), np.float32)
+    angle, force, up = (np.empty((steps, 3, count), np.float32) for _ in range(3))
+    again, bias = np.zeros((steps, count), np.bool_), np.empty((3, count), np.float32)
     done = Streams(angle, force, again, up, bias, rng.random(count) < recipe.known_share)
     for k, by_hand in enumerate(kinds):
         part = slice(k * BLOCK, min((k + 1) * BLOCK, count))
@@ -84,11 +69,11 @@ def draw_streams(
         rate, force, up = turned_and_mirrored(*_block(sets, n, steps, swaying, rng), rng)
         imus = [draw_imu(recipe.imu, rng.random() < recipe.calibrated_share, rng) for _ in range(n)]
         readings = measured(imus, rate, force, rate_hz, rng)
-        done.again[part] = interrupt(readings, recipe.interrupted_share, rate_hz, rng)
-        done.angle[part] = readings[0] / rate_hz
-        done.force[part] = readings[1] / GRAVITY
-        done.up[part] = up
-        done.bias[part] = bias_of(readings[0], up, rate_hz)
+        done.again[:, part] = interrupt(readings, recipe.interrupted_share, rate_hz, rng).T
+        signals = readings[0] / rate_hz, readings[1] / GRAVITY, up
+        for whole, drawn in zip((done.angle, done.force, done.up), signals, strict=True):
+            whole[..., part] = drawn.transpose(1, 2, 0)
+        done.bias[:, part] = bias_of(readings[0], up, rate_hz).T
     return done
 
 

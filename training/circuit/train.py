@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 
 from estimators.circuit.circuit_estimator import circuit_estimator
 from estimators.circuit.file import CircuitConfig, load_circuit, save_circuit
-from estimators.circuit.floats import run_floats, stepped
-from estimators.circuit.parameters import LEARNT, OUTPUT, RATE_HZ, Parameters, untrained
+from estimators.circuit.parameters import LEARNT, RATE_HZ, Parameters, untrained
 from estimators.metrics import absolute_error
 
 from ..config import EPOCH_UPDATES, CircuitRun
 from ..data import TrainingFlights, load_training_flights
 from ..run_folder import Epoch
-from .gradient import begin, loss_and_gradient
+from .gradient import cosine, loss_and_gradient, run_batch
 from .start import as_flown
 from .streams import Streams, draw_streams
 
@@ -172,22 +171,17 @@ def stream_weights(streams: Streams) -> NDArray[np.float32]:
     So a calm flight counts as much as a tumbling one, relative to what is possible there.
     """
     p, errors = untrained(), []
-    for first in range(0, len(streams.up), 64):
-        batch = streams.batch(np.arange(first, min(first + 64, len(streams.up))))
-        trace, senses = begin(p, batch)
-        run_floats(batch.angle, batch.force, batch.again, stepped(p), trace, senses)
-        estimate = trace.x[1:, OUTPUT]
-        cosine = (estimate * batch.up).sum(1) / np.linalg.norm(estimate, axis=1)
-        errors.append(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean(0))
+    for first in range(0, len(streams.known), 64):
+        batch = streams.batch(np.arange(first, min(first + 64, len(streams.known))))
+        cosines = cosine(run_batch(p, batch), batch.up)
+        errors.append(np.degrees(np.arccos(np.clip(cosines, -1, 1))).mean(0))
     weights = 1 / (np.concatenate(errors) + 0.5)
     return (weights / weights.mean()).astype(np.float32)
 
 
 def scaled(p: Parameters, streams: Streams) -> Parameters:
     """The circuit with scales of its vectors from how long they are on streams."""
-    batch = streams.batch(np.arange(min(128, len(streams.up))))
-    trace, senses = begin(p, batch)
-    run_floats(batch.angle, batch.force, batch.again, stepped(p), trace, senses)
+    trace = run_batch(p, streams.batch(np.arange(min(128, len(streams.known)))))
     size = np.abs(trace.x[1:]).transpose(1, 0, 2, 3).reshape(len(p.start), -1)
     return p._replace(scale=np.quantile(size, RANGE_QUANTILE, axis=1).astype(np.float64) / RANGE)
 

@@ -104,17 +104,13 @@ def fly(
     log = np.zeros((n, steps), SAMPLE)
     for k in range(steps):
         loop.move()
-        record(pilot, log[:, k])
+        row, measured = log[:, k], loop.measured_state
+        row["gyro"], row["accel"] = measured["gyro"], gravity_of(measured["roll_pitch"])
+        row["set_point"], row["target"] = pilot.set_point, pilot.taught
+        thrust_axis = quat_rotate(loop.plant.quat, [0.0, 0.0, 1.0])
+        cosine = np.sum(thrust_axis * loop.records["controller"]["thrust_axis"], axis=1)
+        row["error"] = np.arccos(np.clip(cosine, -1.0, 1.0))
         loop.sense()
         log["valid"][:, k] = loop.cause == FLYING
         loop.put_back()
     return log
-
-
-def record(pilot: Pilot, row: NDArray[np.void]) -> None:
-    """Write a sample of n flights, whose vehicles have moved and not sensed yet, to records `row` (n,)."""
-    measured, cascade = pilot.loop.measured_state, pilot.loop.records["controller"]
-    row["gyro"], row["accel"] = measured["gyro"], gravity_of(measured["roll_pitch"])
-    row["set_point"], row["target"] = pilot.set_point, pilot.taught
-    axis = quat_rotate(pilot.loop.plant.quat, [0.0, 0.0, 1.0])
-    row["error"] = np.arccos(np.clip(np.sum(axis * cascade["thrust_axis"], axis=1), -1.0, 1.0))

@@ -31,7 +31,7 @@ INITIAL_WINDOWS, INITIAL_S = 24, 6.0
 
 
 class ControlTask:
-    """Angular accelerations of a teacher, from set-points and readings; see `training.epochs.Task`.
+    """Angular accelerations of a teacher, from set-points and readings; see `training.data.AttitudeTask`.
 
     Args:
         config: Of the run.
