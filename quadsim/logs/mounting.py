@@ -129,7 +129,7 @@ def estimate_mount(log: xr.Dataset, given: str | None = None, from_level: bool =
     report, rate_hz = log.attrs["log"], float(log.attrs["rate_hz"])
     gyro, accel, quat = (log[name].to_numpy()[0] for name in ("gyro", "accel", "quat"))
     try:
-        if np.isfinite(quat).any() and report.truth_axes == "body" and not from_level:
+        if np.isfinite(quat).any() and report.log.truth_axes == "body" and not from_level:
             found = with_accel_bias(mount_from_truth(gyro, quat, rate_hz), accel, quat)
         else:
             found = mount_from_level(level(gyro, accel, rate_hz))

@@ -77,7 +77,7 @@ def write_bin(path, kinds=(1, 3, 4, 5, 7)):
 def test_an_ardupilot_log_is_turned_from_frd_and_ned(tmp_path, kinds, truth):
     log, report = reported(write_bin(tmp_path / "x.BIN", kinds))
     consistent(log)
-    assert (report.truth, report.truth_axes) == (truth, "body" if 3 in kinds else "imu")
+    assert (report.log.truth, report.log.truth_axes) == (truth, "body" if 3 in kinds else "imu")
     assert not [warning for warning in report.warnings if "damaged" in warning]
 
 
@@ -159,8 +159,8 @@ def test_the_longest_log_of_a_betaflight_file_is_read_in_si_units(tmp_path, monk
     for name, wanted, step in (("gyro", gyro, np.radians(0.1)), ("accel", accel, 9.8 / 20480)):
         np.testing.assert_allclose(log[name][0], wanted, atol=0.6 * step)
     np.testing.assert_allclose(np.abs((log["quat"][0] * quat).sum(axis=-1)), 1.0, atol=1e-8)
-    assert report.truth == "imuQuaternion: the autopilot's own estimate, which is no independent truth"
-    assert "log 2 of 2, the longest" in report.notes
+    assert report.log.truth == "imuQuaternion: the autopilot's own estimate, which is no independent truth"
+    assert "log 2 of 2, the longest" in report.log.notes
     speeds = read_recording(path).sensors["rotor_vel"].values[3]
     np.testing.assert_allclose(speeds, np.array([50_000, 60_000]) / 6 * np.pi / 30)
 
@@ -220,7 +220,7 @@ def write_json_mcap(path, encoding="json"):
 def test_json_messages_of_an_mcap_file_are_read_by_their_own_stamps(tmp_path):
     log, report = reported(write_json_mcap(tmp_path / "x.mcap"))
     consistent(log)
-    assert report.truth == "/body: poses"
+    assert report.log.truth == "/body: poses"
     level, _ = reported(tmp_path / "x.mcap", truth="/level")
     np.testing.assert_allclose(level["quat"][0, :, 0], 1.0)
     with pytest.raises(
