@@ -68,8 +68,7 @@ def compare(
     span = round(LOW_PASS_S * rate_hz)
     edge = span // 2 if len(accel) > span else 0  # where the mean would be of less than that time
     squares = {}
-    level = np.zeros((len(accel), 2))
-    for name, estimate in {**estimates, LEVEL: level}.items():
+    for name, estimate in {**estimates, LEVEL: np.zeros((len(accel), 2))}.items():
         horizontal = horizontal_force(estimate, gyro, accel, rate_hz)
         mean = uniform_filter1d(horizontal, min(span, len(accel)), axis=0)
         squares[name] = (mean[edge : len(mean) - edge] ** 2).sum(axis=1)
@@ -106,23 +105,17 @@ def horizontal_force(estimate: Array, gyro: Array, accel: Array, rate_hz: float)
 
 
 def _favoured(blocks: Mapping[str, Array], force: Mapping[str, float]) -> tuple[tuple[str, ...], str]:
-    """The estimator of the smallest force and all that do not differ significantly from it (paired, 95 %).
+    """The estimator of the smallest force and all that do not differ significantly from it, or none and why.
 
-    Args:
-        blocks: Estimator to the squares of its mean forces [m²/s⁴]; `LEVEL` is among them.
-        force: Estimator to the root of their mean [m/s²].
-
-    Returns:
-        The names, or none and the reason.
+    Paired, 95 %, from the squares of its mean forces by estimator [m²/s⁴], `LEVEL` among them.
     """
     best = min(force, key=lambda name: force[name])
     if len(blocks[best]) < FEWEST:
         return (), f"the log is shorter than {FEWEST * LOW_PASS_S:g} s"
     chosen = []
     for name, block in blocks.items():
-        more = block - blocks[best]
-        limit = student.ppf(0.95, len(more) - 1) * more.std(ddof=1) / np.sqrt(len(more))
-        if name == best or more.mean() <= limit:
+        more, factor = block - blocks[best], student.ppf(0.95, len(block) - 1) / np.sqrt(len(block))
+        if name == best or more.mean() <= factor * more.std(ddof=1):
             chosen.append(name)
     if LEVEL in chosen:
         return (), "a level guess has no larger force"

@@ -53,19 +53,16 @@ def log_verdict(scores: LogScores) -> LogVerdict:
     lines += compared
     if len(logs) == 1:
         lines.append("One log shows what happened on it, not which estimator is best on the next.")
-    return LogVerdict(_headline(scores, level), lines + notes)
-
-
-def _headline(scores: LogScores, level: float) -> str:
-    best, logs = scores.ranked[0], scores.headline
-    error = scores.mean(best, RAW)
+    best, error = scores.ranked[0], scores.mean(scores.ranked[0], RAW)
     over = ", over the logs without a fault" if scores.faulty else ""
     if logs == scores.faulty:
         over = f", but {'the log has' if len(logs) == 1 else 'all logs have'} a sensor fault"
     if error > CLEAR * level:
-        text = f"No estimator is much better than a level guess ({level:.2f}°){over}"
-        return f"{text}; the best is {best}, {error:.2f}°."
-    return f"Smallest error: {best}, {error:.2f}° inclination RMSE{over}."
+        headline = f"No estimator is much better than a level guess ({level:.2f}°){over}"
+        headline += f"; the best is {best}, {error:.2f}°."
+    else:
+        headline = f"Smallest error: {best}, {error:.2f}° inclination RMSE{over}."
+    return LogVerdict(headline, lines + notes)
 
 
 def _headline_without_truth(scores: LogScores) -> str:
