@@ -59,11 +59,6 @@ class LogReport:
     filter_hz: float | None
     """−6 dB corner of the anti-alias filter; None where there was none to apply."""
 
-    @property
-    def path(self) -> str:
-        """The file, as it was given."""
-        return self.log.path
-
     @cached_property
     def weight(self) -> float:
         """Median length of the specific force [m/s²]: near 9.8 in flight and in the hand."""
@@ -156,24 +151,21 @@ class LogReport:
 
     def _sample_warnings(self) -> Iterator[str]:
         """Samples that are missing, left out or doubtful."""
-        n = self.counts
+        n, back_s, rate = self.counts, self.counts["clock_back_ms"] / 1e3, self.counts["source_rate_hz"]
+        jumps = f"; the clock goes back by {back_s:.1f} s, and the log jumps where it resumes"
+        parts = f"gaps of more than {LONGEST_GAP_S:g} s cut this log into {n['parts']} parts"
+        longest = f"{n['gap_s']:.2f} s in all, the longest {n['longest_gap_s']:.3f} s"
         if n["parts"] > 1:
-            cut = f"gaps of more than {LONGEST_GAP_S:g} s cut this log into {n['parts']} parts"
-            yield f"{cut}: the longest was read"
+            yield f"{parts}: the longest was read"
         if n["stamps_back"]:
-            text = f"{n['stamps_back']} samples do not follow the one before in time: left out"
-            if n["clock_back_ms"] > CHECK.clock_back_ms:
-                back = f"{n['clock_back_ms'] / 1e3:.1f} s"
-                text += f"; the clock goes back by {back}, and the log jumps where it resumes"
-            yield text
+            after = jumps if 1e3 * back_s > CHECK.clock_back_ms else ""
+            yield f"{n['stamps_back']} samples do not follow the one before in time: left out{after}"
         if n["gaps"]:
-            count = "1 gap" if n["gaps"] == 1 else f"{n['gaps']} gaps"
-            longest = f"{n['gap_s']:.2f} s in all, the longest {n['longest_gap_s']:.3f} s"
-            yield f"{count}, {longest}: left out of scores"
+            yield f"{n['gaps']} gap{'s' if n['gaps'] > 1 else ''}, {longest}: left out of scores"
         if n["lost"]:
             yield f"{n['lost']} single samples lost: interpolated"
         yield from (fault.sentence for fault in self.sensor_faults)
-        if (rate := n["source_rate_hz"]) < CHECK.slow_hz:
+        if rate < CHECK.slow_hz:
             yield f"sampled at {rate:.0f} Hz: motion above {0.4 * rate:.0f} Hz is not in this log"
         if n["repeated"]:
             yield f"{n['repeated']} samples repeat the one before"
@@ -188,7 +180,7 @@ class LogReport:
             if rest and rest.seconds >= CHECK.least_rest_s and rest.rate > np.radians(CHECK.large_bias_deg):
                 rate = f"{np.degrees(rest.rate):.1f} °/s across the vertical"
                 failing = any(fault.sensor == "gyroscope" for fault in self.sensor_faults)
-                mend = FAILING if failing else f"`quadsim identify {self.path} --still`"
+                mend = FAILING if failing else f"`quadsim identify {self.log.path} --still`"
                 yield f"at rest for {rest.seconds} s, the gyroscope reads {rate}, a large bias: {mend}"
             shake = fast_part(self.log.accel, self.counts["source_rate_hz"])
             if (vibration := float(np.sqrt((shake**2).sum(axis=1).mean()))) > CHECK.vibration:
@@ -213,7 +205,8 @@ class LogReport:
     def _mend(self) -> str:
         far = self.level is not None and self.level.tilt_deg > CHECK.far_deg
         about = f', about --mount "{mount_text(self.level.mount)}"' if self.level and far else ""
-        return f"`quadsim report {self.path} --find-mount best` estimates the --mount that corrects it{about}"
+        command = f"`quadsim report {self.log.path} --find-mount best`"
+        return f"{command} estimates the --mount that corrects it{about}"
 
     @property
     def _mend_of_truth(self) -> str:
