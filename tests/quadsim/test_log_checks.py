@@ -92,25 +92,17 @@ def wrong(name: str) -> Recording:
         ("gravity", "accel.negate = true"),
         ("axes", "look at frame and mount"),
         ("sign of z", "the gyroscope's z does not read how the truth turns about that axis (correlation -"),
+        ("g, blind", 'accel.unit = "g"'),
+        ("mg, blind", 'accel.unit = "mg"'),
+        ("frame, blind", 'frame = "frd"'),
+        ("upright, blind", "is the frame FLU"),
     ],
 )
 def test_units_norms_and_frames_that_cannot_be_right_are_said(name, said):
-    report = report_of(wrong(name))
-    assert any(said in fault for fault in report.faults)
+    log = wrong(name.removesuffix(", blind"))
+    report = report_of(blind(log) if "blind" in name else log)
+    assert any(said in fault for fault in report.faults[: 1 if "blind" in name else None])
     assert report.faults[0] in report.warnings
-
-
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [
-        ("g", 'accel.unit = "g"'),
-        ("mg", 'accel.unit = "mg"'),
-        ("frame", 'frame = "frd"'),
-        ("upright", "is the frame FLU"),
-    ],
-)
-def test_without_truth_the_length_and_direction_of_the_force_are_looked_at(name, said):
-    assert said in report_of(blind(wrong(name))).faults[0]
 
 
 def test_a_log_in_which_nothing_is_wrong_has_no_faults():

@@ -21,19 +21,7 @@ FORMATS = {
     6: ("GPS", "QBIHB", "TimeUS,I,GMS,GWk,Status"),
     7: ("ATT", "Qfff", "TimeUS,Roll,Pitch,Yaw"),
 }
-CODES = {
-    "Q": "Q",
-    "B": "B",
-    "f": "f",
-    "c": "h",
-    "C": "H",
-    "h": "h",
-    "H": "H",
-    "I": "I",
-    "n": "4s",
-    "N": "16s",
-    "Z": "64s",
-}
+CODES = {code: code for code in "QBfhHI"} | {"c": "h", "C": "H", "n": "4s", "N": "16s", "Z": "64s"}
 
 
 def message(kind, *values):
@@ -91,14 +79,10 @@ def test_an_ardupilot_log_is_what_pymavlink_reads(tmp_path):
     reader = pytest.importorskip("pymavlink.DFReader")
     log = read_recording(write_bin(tmp_path / "x.bin"))
     other, rows = reader.DFReader_binary(str(tmp_path / "x.bin")), []
+    names = [f"{name}{axis}" for name in ("Gyr", "Acc") for axis in "XYZ"]
     while (found := other.recv_match(type="IMU")) is not None:
         if found.I == 0:
-            rows.append(
-                [
-                    found.TimeUS * 1e-6,
-                    *(getattr(found, f"{name}{axis}") for name in ("Gyr", "Acc") for axis in "XYZ"),
-                ]
-            )
+            rows.append([found.TimeUS * 1e-6, *(getattr(found, name) for name in names)])
     mine = np.column_stack([log.time, swap_flu_frd(log.gyro), swap_flu_frd(log.accel)])
     np.testing.assert_array_equal(mine, rows)
 
@@ -186,11 +170,8 @@ def write_json_mcap(path, encoding="json"):
         writer = writer_of(stream)
         writer.start()
         channels = {}
-        for topic, kind in {
-            "/imu": "sensor_msgs/Imu",
-            "/body": "foxglove.PoseInFrame",
-            "/level": "foxglove.PoseInFrame",
-        }.items():
+        pose = "foxglove.PoseInFrame"
+        for topic, kind in {"/imu": "sensor_msgs/Imu", "/body": pose, "/level": pose}.items():
             schema = writer.register_schema(kind, "jsonschema" if encoding == "json" else encoding, b"{}")
             channels[topic] = writer.register_channel(topic, encoding, schema)
         for k, ns in enumerate((1e9 * (time + 1.0)).round().astype(int).tolist()):
@@ -198,18 +179,13 @@ def write_json_mcap(path, encoding="json"):
             xyz = [dict(zip("xyz", each[k].tolist(), strict=True)) for each in (gyro, accel)]
             turn = {"x": x, "y": y, "z": z, "w": w}
             none = {"x": 0.0, "y": 0.0, "z": 0.0}
+            pose = {"pose": {"position": none, "orientation": turn}}
+            level = {"pose": {"position": none, "orientation": none | {"w": 1.0}}}
+            read = dict(zip(("angular_velocity", "linear_acceleration"), xyz, strict=True))
             said = {
-                "/imu": {
-                    "header": {"stamp": stamp},
-                    "angular_velocity": xyz[0],
-                    "linear_acceleration": xyz[1],
-                },
-                "/body": {
-                    "timestamp": stamp,
-                    "frame_id": "world",
-                    "pose": {"position": none, "orientation": turn},
-                },
-                "/level": {"timestamp": stamp, "pose": {"position": none, "orientation": none | {"w": 1.0}}},
+                "/imu": {"header": {"stamp": stamp}} | read,
+                "/body": {"timestamp": stamp, "frame_id": "world"} | pose,
+                "/level": {"timestamp": stamp} | level,
             }
             for topic, content in said.items():
                 writer.add_message(channels[topic], ns + 7_000_000, json.dumps(content).encode(), ns)
@@ -223,9 +199,8 @@ def test_json_messages_of_an_mcap_file_are_read_by_their_own_stamps(tmp_path):
     assert report.log.truth == "/body: poses"
     level, _ = reported(tmp_path / "x.mcap", truth="/level")
     np.testing.assert_allclose(level["quat"][0, :, 0], 1.0)
-    with pytest.raises(
-        ValueError, match=r'no topic "/odom" of the right kind; topics: /body \(foxglove.PoseInFrame\)'
-    ):
+    said = r'no topic "/odom" of the right kind; topics: /body \(foxglove.PoseInFrame\)'
+    with pytest.raises(ValueError, match=said):
         read_recording(tmp_path / "x.mcap", truth="/odom")
 
 

@@ -120,8 +120,12 @@ def test_px4_rotor_speeds_and_magnetometer_are_read_where_they_are_logged(tmp_pa
     rpm = np.tile([2.0, 4000.0, -4100.0], (time[::20].size, 1))  # how many ESCs there are, and their speeds
     gauss = np.tile(swap_flu_frd(field) * 1e4, (time[::4].size, 1))
     escs = "float esc_count;float esc[0].esc_rpm;float esc[1].esc_rpm;"
-    sensor_mag = ("float x;float y;float z;", time[::4], gauss)
-    write_px4(tmp_path / "x.ulg", esc_status=(escs, time[::20], rpm), sensor_mag=sensor_mag)
+    topics = {
+        "esc_status": (escs, time[::20], rpm),
+        "sensor_mag": ("float x;float y;float z;", time[::4], 2.0 * gauss),  # not calibrated
+        "vehicle_magnetometer": ("float[3] magnetometer_ga;", time[::4], gauss),
+    }
+    write_px4(tmp_path / "x.ulg", **topics)
     log = read_log(tmp_path / "x.ulg")
     speeds = np.array([4000.0, 4100.0]) * np.pi / 30
     for name, wanted, least in (("rotor_vel", speeds, 0.9), ("mag", field, 0.0)):
@@ -193,6 +197,7 @@ def test_a_csv_is_read_by_its_column_map(tmp_path):
         ('"wz"', '"gz"', r'no column "gz"; '),
         ('"wz"', '"wy"', r"gyro\.columns: wx, wy, wy; one is there twice"),
         ("unit =", "units =", r'unknown key "time\.units"'),
+        ("z,y,-x", "z,y,x", "mount z,y,x: no rotation"),
     ):
         (tmp_path / "bad.toml").write_text(COLUMNS.replace(old, new))
         with pytest.raises(ValueError, match=fault):
