@@ -109,6 +109,12 @@ def test_a_log_in_which_nothing_is_wrong_has_no_faults():
     assert report_of(turned()).faults == report_of(blind(turned())).faults == []
 
 
+def test_a_force_that_is_somewhat_off_gravity_is_a_warning_and_no_fault():
+    report = report_of(turned(accel=turned().accel + np.array([0.0, 0.0, 2.0])))
+    assert report.faults == []
+    assert any("frames disagree: turned to the world" in warning for warning in report.warnings)
+
+
 def test_noise_of_the_truth_hides_no_wrong_unit_and_makes_none():
     log = turned()
     noisy = replace(log, quat=shaken(log.quat, 0.024))

@@ -115,6 +115,10 @@ def test_doublets_of_stamps_are_one_sample_each():
     dataset, report = resample(turned(time=doublets, gyro=gyro, accel=np.repeat(log.accel, 2, 0)))
     assert report.counts["stamps_back"] == 4000
     consistent(dataset)
+    few = np.repeat(np.arange(4000), np.where(np.arange(4000) % 40, 1, 2))
+    stamps = log.time[few] + np.append(False, np.diff(few) == 0) * 1e-4
+    found = report_of(turned(time=stamps, gyro=log.gyro[few], accel=log.accel[few]))
+    assert found.counts["stamps_back"] == 100
 
 
 @pytest.mark.parametrize(("rate_hz", "jitter_ms"), [(200.0, 2.0), (1000.0, 2.0)])
