@@ -22,7 +22,7 @@ from estimators.circuit.circuit_estimator import Silent
 from estimators.evaluation.beliefs import Beliefs, beliefs
 from estimators.evaluation.comparison import evaluate, made_of
 from estimators.evaluation.flights import vehicle_of
-from estimators.evaluation.logs import KNOWN, LEVEL, RAW, LogScores, score_logs
+from estimators.evaluation.logs import KNOWN, LEVEL, RAW, SILENCED, LogScores, score_logs
 from estimators.filters.drag.imm_model import MODELS
 from estimators.networks.network import NetworkEstimator
 from paper.plan import CHIP, RNN, SNN, sizes_of
@@ -186,7 +186,7 @@ SIMULATED = {
 def recorded_errors(scores: LogScores) -> list[Row]:
     """Errors on a set of recordings, the smallest first: raw, silenced, without the gyroscope's bias."""
     return [
-        (name, scores.mean(name, RAW), scores.silenced(name), scores.mean(name, KNOWN))
+        (name, scores.mean(name, RAW), scores.mean(name, SILENCED), scores.mean(name, KNOWN))
         for name in scores.estimators
     ]
 

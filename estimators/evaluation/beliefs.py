@@ -1,12 +1,13 @@
 """What `imm` believes along a recording: probabilities of its models, and how honest its sigma is."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
-from quadsim.estimator import AttitudeEstimator, OtherSensors, Readings
+from quadsim.estimator import AttitudeEstimator, OtherSensors, Readings, accepted_sensors
 
 from ..filters.drag.imm import InteractingModels
 from ..metrics import absolute_error
@@ -14,7 +15,7 @@ from ..metrics import absolute_error
 Array = NDArray[np.float64]
 
 EVERY_S = 0.1
-"""Time between the samples at which the models are asked [s]."""
+"""Time between the samples at which an estimator is asked for more than its estimate [s]."""
 NORMAL_95 = 1.96
 """Half the width of the 95 % interval of a normal distribution, in standard deviations."""
 ALL, WIDE, LARGE_DEG = 0.995, 2.0, 5.0
@@ -84,10 +85,28 @@ class Coverage(NamedTuple):
         return f"{text}, but the error is large: {figures}" if self.rmse_deg > LARGE_DEG else text
 
 
+def run_in_steps(est: AttitudeEstimator, readings: Readings) -> Iterator[tuple[int, Array]]:
+    """Run an estimator with a `sequence` from an unknown start, and stop every tenth of a second.
+
+    Args:
+        est: The estimator; its state at each stop can be asked for.
+        readings: Of n recordings (n, T, ·).
+
+    Yields:
+        The last sample that it was given, and roll and pitch (n, 2) [rad].
+    """
+    est.reset(len(readings.gyro))
+    sequence = est.sequence  # pyright: ignore[reportAttributeAccessIssue]
+    every = max(round(EVERY_S * est.rate_hz), 1)
+    for end in range(every, readings.gyro.shape[1] + 1, every):
+        part = readings.map(lambda each, end=end: each[:, end - every : end])
+        yield end - 1, part.give(sequence, accepted_sensors(sequence))[:, -1]
+
+
 def beliefs(
     est: AttitudeEstimator, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]
 ) -> Beliefs | None:
-    """Run an estimator from an unknown start, and ask it every tenth of a second; None if it has no models.
+    """Run an estimator as `run_in_steps` does, and ask it at each stop; None if it has no models.
 
     Args:
         est: The estimator.
@@ -95,16 +114,9 @@ def beliefs(
         accel: Specific force in body axes (n, T, 3) [m/s²].
         sensors: Further readings (n, T, ·), as in `estimators.run`.
     """
-    readings = Readings(gyro, accel, **sensors)
     if not isinstance(est, InteractingModels):
         return None
-    est.reset(len(gyro))
-    every = max(round(EVERY_S * est.rate_hz), 1)
-    samples = np.arange(every - 1, gyro.shape[1], every)
-    parts = []
-    for last in samples:
-        part = readings.map(lambda each, last=last: each[:, last + 1 - every : last + 1])
-        estimate = est.sequence(part.gyro, part.accel, **part.others)[:, -1]
-        parts.append((estimate, est.roll_pitch_sigma, est.model_probability))
-    roll_pitch, sigma, probability = (np.stack(each, axis=1) for each in zip(*parts, strict=True))
-    return Beliefs(est.models, samples, roll_pitch, sigma, probability)
+    stops = run_in_steps(est, Readings(gyro, accel, **sensors))
+    parts = [(last, estimate, est.roll_pitch_sigma, est.model_probability) for last, estimate in stops]
+    samples, *states = zip(*parts, strict=True)
+    return Beliefs(est.models, np.array(samples), *(np.stack(each, axis=1) for each in states))

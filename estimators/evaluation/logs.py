@@ -29,8 +29,9 @@ from .without_truth import FEWEST, LEVEL, LOW_PASS_S, Comparison, compare, is_la
 Array = NDArray[np.float64]
 logger = logging.getLogger(__name__)
 
-RAW, KNOWN = "raw", "known"
-"""The gyroscope as recorded, and with its mean bias over the log subtracted where it is significant."""
+RAW, KNOWN, SILENCED = KINDS = "raw", "known", "silenced"
+"""The gyroscope as recorded, with its mean bias over the log subtracted where it is significant, and as
+recorded for a network with output weights of zero."""
 NO_ATTITUDE = "it has no attitude"
 """Why a log is compared in place of scored."""
 SKIP_S = 3.0
@@ -77,8 +78,7 @@ class ScoredLog:
             return "no true attitude"
         if not np.isfinite(self.bias.mean).all():
             return "gyro bias unknown"
-        both = zip(np.degrees(self.bias.mean), np.degrees(self.bias.half_width), strict=True)
-        shown = ", ".join(f"{mean:+.2f} ± {half:.2f}" for mean, half in both)
+        shown = ", ".join(f"{mean:+.2f} ± {half:.2f}" for mean, half in np.degrees(np.transpose(self.bias)))
         axes = [axis for axis, value in zip("xyz", self.bias.significant, strict=True) if value != 0.0]
         removed = f"{', '.join(axes)} removed" if axes else "not significant, nothing is removed"
         return f"gyro bias ({shown}) °/s at 95 %: {removed}"
@@ -103,24 +103,14 @@ class LogScores(Evaluation):
     tuning: str = ""
     """Which parameters the filters have, in a sentence."""
 
-    def mean(self, estimator: str, bias: str) -> float:
-        """Mean over the logs of the headline of the inclination RMSE [deg]."""
-        return float(self._means(self.on_logs(bias)).get(estimator, np.nan))
+    def mean(self, estimator: str, kind: str) -> float:
+        """Mean over the logs of the headline of the inclination RMSE [deg]; NaN where there is none."""
+        return self.on_logs(kind)[self.headline].mean(axis=1).to_dict().get(estimator, np.nan)
 
-    def silenced(self, estimator: str) -> float:
-        """The same of the network silenced, raw; NaN for others [deg]."""
-        return float(self._means(self.on_logs(column="silenced_inclination_deg")).get(estimator, np.nan))
-
-    def means(self, estimator: str) -> tuple[float, float, float]:
-        """Mean errors with the gyroscope as recorded, without its bias, and of the silenced network [deg]."""
-        return self.mean(estimator, RAW), self.mean(estimator, KNOWN), self.silenced(estimator)
-
-    def _means(self, on_logs: pd.DataFrame) -> dict[str, float]:
-        return on_logs[self.headline].mean(axis=1).to_dict()
-
-    def on_logs(self, bias: str = RAW, column: str = "inclination_rmse_deg") -> pd.DataFrame:
-        """Inclination RMSE of estimators by log [deg]."""
-        chosen = self.table.loc[self.table.bias == bias]
+    def on_logs(self, kind: str = RAW) -> pd.DataFrame:
+        """Inclination RMSE of estimators by log [deg]: one of `KINDS`."""
+        column = "silenced_inclination_deg" if kind == SILENCED else "inclination_rmse_deg"
+        chosen = self.table.loc[self.table.bias == (KNOWN if kind == KNOWN else RAW)]
         return chosen.pivot(index="estimator", columns="log", values=column)
 
     @property
@@ -147,8 +137,8 @@ class LogScores(Evaluation):
     def estimators(self) -> list[str]:
         """Estimators, the smallest raw error first; those that are not ranked come last."""
         ran = [*self.table.estimator, *(name for log in self.logs.values() for name in log.estimates)]
-        error = {name: value for name, value in self._means(self.on_logs()).items() if value == value}
-        return sorted(dict.fromkeys(ran), key=lambda name: (name in self.unranked, error.get(name, np.inf)))
+        error = {name: np.nan_to_num(self.mean(name, RAW), nan=np.inf) for name in ran}
+        return sorted(error, key=lambda name: (name in self.unranked, error[name]))
 
     @property
     def ranked(self) -> list[str]:
@@ -203,19 +193,16 @@ def score_logs(
         ValueError: Unknown estimators, two logs of one name, or a log of which nothing can be scored; before
             anything is run. Where every estimator fails on every log, or on one without a true attitude.
     """
-    prepared = {str(log.attrs["source"]): _log(log, within_deg, skip_s) for log in logs}
-    if len(prepared) < len(logs):
+    scores = LogScores(logs={str(log.attrs["source"]): prepared(log, within_deg, skip_s) for log in logs})
+    if len(scores.logs) < len(logs):
         raise ValueError(f"logs must differ in name: {', '.join(str(log.attrs['source']) for log in logs)}")
-    for title, one in prepared.items():
+    for title, one in scores.logs.items():
         if one.unscorable not in ("", NO_ATTITUDE):
             raise ValueError(f"{title}: nothing to score: {one.unscorable}")
     chosen, rows = estimators or default_names(), []
-    scores = LogScores(logs=prepared)
-    for k, (title, one) in enumerate(prepared.items()):
+    for k, (title, one) in enumerate(scores.logs.items()):
         made = chosen if isinstance(chosen, Mapping) else made_of(chosen, one.flights.rate_hz)
-        level = errors_of(np.zeros_like(one.flights.truth), one.flights.truth)
-        level |= {"estimator": LEVEL, "reference": False, "flaw": ""}
-        own = [] if one.unscorable else [level | {"bias": which} for which in (RAW, KNOWN)]
+        own = []
         for done, (name, est) in enumerate(made.items(), k * len(made)):
             progress(done, len(logs) * len(made), name)
             own += _rows(name, est, one)
@@ -225,40 +212,34 @@ def score_logs(
                 "prediction", title, missing, len(one.counted),
             )  # fmt: skip
         if one.unscorable:
-            one.comparison = _comparison(title, one, {row["estimator"]: row["flaw"] for row in own})
-        else:
-            faults = "; ".join(fault.name for fault in one.faults)
-            of_log = {"log": title, "initial": "unknown", "scored_s": one.counted_s, "faults": faults}
-            rows += [of_log | row for row in own]
+            flaws = {row["estimator"]: row["flaw"] for row in own if row["flaw"]}
+            good = {name: each[one.counted] for name, each in one.estimates.items() if name not in flaws}
+            if not good:
+                said = "; ".join(f"{name} {flaw}" for name, flaw in flaws.items())
+                raise ValueError(f"{title}: no estimator ran: {said}")
+            gyro, accel = (each[0, one.counted] for each in (one.flights.gyro, one.flights.accel))
+            one.comparison = compare(good, gyro, accel, one.flights.rate_hz, flaws)
+            continue
+        level = errors_of(np.zeros_like(one.flights.truth), one.flights.truth)
+        level |= {"estimator": LEVEL, "reference": False, "flaw": ""}
+        faults = "; ".join(fault.name for fault in one.faults)
+        of_log = {"log": title, "initial": "unknown", "scored_s": one.counted_s, "faults": faults}
+        rows += [of_log | row for row in ([level | {"bias": which} for which in (RAW, KNOWN)] + own)]
     scores.table = pd.DataFrame(rows, columns=list(COLUMNS))
     if not any(log.estimates for log in scores.logs.values()):
-        failed = [f"{name} {flaw}" for name, flaw in scores.unranked.items()]
-        raise ValueError(f"no estimator ran: {'; '.join(failed)}")
+        said = "; ".join(f"{name} {flaw}" for name, flaw in scores.unranked.items())
+        raise ValueError(f"no estimator ran: {said}")
     return scores
 
 
-def unscorable(log: xr.Dataset, *, within_deg: float = 45.0, skip_s: float = SKIP_S) -> str:
-    """Why no sample of a log can be scored; empty where some can.
+def prepared(log: xr.Dataset, within_deg: float = 45.0, skip_s: float = SKIP_S) -> ScoredLog:
+    """A log before anything is run; without an attitude the gyroscope's turns stand in for the truth.
 
     Args:
         log: From `quadsim.logs.read_log`.
         within_deg: Largest true inclination that is scored [deg].
         skip_s: Time at the start that is not scored [s].
     """
-    return _log(log, within_deg, skip_s).unscorable
-
-
-def default_names(vehicle_known: bool = False) -> list[str]:
-    """Estimators scored unless others are asked for: not filterpy's, ekf-drag only with a known vehicle."""
-    return [
-        name
-        for name in names()
-        if name != "truth" and name not in FILTERPY and (vehicle_known or not needs_vehicle(name))
-    ]
-
-
-def _log(log: xr.Dataset, within_deg: float, skip_s: float) -> ScoredLog:
-    """A log before anything is run; without an attitude the gyroscope's turns stand in for the truth."""
     flights = load_flights([log])
     truth, readings = flights.truth[0], np.isfinite(flights.gyro[0] + flights.accel[0]).all(axis=1)
     started = log["time"].to_numpy() >= skip_s
@@ -280,6 +261,15 @@ def _log(log: xr.Dataset, within_deg: float, skip_s: float) -> ScoredLog:
             unscorable = f"it has neither attitude nor readings after the first {skip_s:g} s"
     masked = replace(flights, truth=np.where(counted[:, None], shown, np.nan)[None])
     return ScoredLog(masked, truth, counted, log.attrs["log"].sensor_faults, unscorable)
+
+
+def default_names(vehicle_known: bool = False) -> list[str]:
+    """Estimators scored unless others are asked for: not filterpy's, ekf-drag only with a known vehicle."""
+    return [
+        name
+        for name in names()
+        if name != "truth" and name not in FILTERPY and (vehicle_known or not needs_vehicle(name))
+    ]
 
 
 def _rows(name: str, est: AttitudeEstimator, log: ScoredLog) -> list[dict[str, Any]]:
@@ -304,14 +294,3 @@ def _rows(name: str, est: AttitudeEstimator, log: ScoredLog) -> list[dict[str, A
             if believed := beliefs(est, flights.gyro, flights.accel, **flights.readings.others):
                 log.beliefs[name] = believed
     return rows
-
-
-def _comparison(title: str, log: ScoredLog, flaws: Mapping[str, str]) -> Comparison:
-    """Estimators without a flaw on a log without a true attitude."""
-    good = {name: estimate[log.counted] for name, estimate in log.estimates.items() if not flaws[name]}
-    if not good:
-        raise ValueError(
-            f"{title}: no estimator ran: {'; '.join(f'{n} {flaw}' for n, flaw in flaws.items())}"
-        )
-    gyro, accel = log.flights.gyro[0, log.counted], log.flights.accel[0, log.counted]
-    return compare(good, gyro, accel, log.flights.rate_hz, {n: flaw for n, flaw in flaws.items() if flaw})

@@ -68,8 +68,7 @@ def compare(
     span = round(LOW_PASS_S * rate_hz)
     edge = span // 2 if len(accel) > span else 0  # where the mean would be of less than that time
     squares = {}
-    level = np.zeros((len(accel), 2))
-    for name, estimate in {**estimates, LEVEL: level}.items():
+    for name, estimate in {**estimates, LEVEL: np.zeros((len(accel), 2))}.items():
         horizontal = horizontal_force(estimate, gyro, accel, rate_hz)
         mean = uniform_filter1d(horizontal, min(span, len(accel)), axis=0)
         squares[name] = (mean[edge : len(mean) - edge] ** 2).sum(axis=1)
@@ -112,14 +111,9 @@ def is_larger(values: Array, others: Array) -> bool:
 
 
 def _favoured(blocks: Mapping[str, Array], force: Mapping[str, float]) -> tuple[tuple[str, ...], str]:
-    """The estimator of the smallest force and all that do not differ significantly from it (paired, 95 %).
+    """The estimator of the smallest force and all that do not differ significantly from it, or none and why.
 
-    Args:
-        blocks: Estimator to the squares of its mean forces [m²/s⁴]; `LEVEL` is among them.
-        force: Estimator to the root of their mean [m/s²].
-
-    Returns:
-        The names, or none and the reason.
+    Paired, 95 %, from the squares of its mean forces by estimator [m²/s⁴], `LEVEL` among them.
     """
     best = min(force, key=lambda name: force[name])
     if len(blocks[best]) < FEWEST:

@@ -85,7 +85,9 @@ def refused(reports: Iterable[LogReport], force: bool = False) -> list[str]:
     Raises:
         ValueError: The first of them, and how many more there are, unless they are used all the same (force).
     """
-    faults = list(dict.fromkeys(f"{report.path}: {fault}" for report in reports for fault in report.faults))
+    faults = list(
+        dict.fromkeys(f"{report.log.path}: {fault}" for report in reports for fault in report.faults)
+    )
     if faults and not force:
         more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
         raise ValueError(f"{faults[0]}{more}; --force uses it all the same")

@@ -32,10 +32,13 @@ LONGEST = 1 / 4
 
 
 class SensorNoise(NamedTuple):
-    """One sensor's noise, all three axes pooled; unit: rad/s or m/s²."""
+    """One sensor's noise, all three axes pooled."""
 
+    name: str
+    unit: str
+    """rad/s or m/s²."""
     bias: Array
-    """Mean of each axis over the log; the accelerometer's along gravity alone."""
+    """Mean of each axis over the log (3,); the accelerometer's along gravity alone."""
     turn_on: float
     """Standard deviation of the turn-on bias, from that mean."""
     noise: float
@@ -71,18 +74,14 @@ class Calibration:
             least = f"need {WALK_S:g} s at rest at a stretch at least, an hour to be sure; here are {here}"
             yield f"bias random walk and its time constant: {least}"
             return
-        for name, unit, sensor in self.sensors:
-            if sensor.random_walk == 0.0:
-                bound = f"it is below about {WALK_SHOWS * sensor.noise / self.still_s:.2g} {unit}/√s"
+        for each in (self.gyro, self.accel):
+            if each.random_walk == 0.0:
+                bound = f"it is below about {WALK_SHOWS * each.noise / self.still_s:.2g} {each.unit}/√s"
                 text = f"none shows in {here}, {bound}; a smaller one needs a longer log"
-                yield f"{name}, bias random walk: {text}"
-            elif not sensor.resolved:
-                yield f"{name}, time constant: more than {here}; needs a log several times as long as itself"
-
-    @property
-    def sensors(self) -> tuple[tuple[str, str, SensorNoise], tuple[str, str, SensorNoise]]:
-        """Name, unit and noise of both sensors."""
-        return (("gyroscope", "rad/s", self.gyro), ("accelerometer", "m/s²", self.accel))
+                yield f"{each.name}, bias random walk: {text}"
+            elif not each.resolved:
+                longer = "needs a log several times as long as itself"
+                yield f"{each.name}, time constant: more than {here}; {longer}"
 
 
 def model_variance(times: ArrayLike, noise: float, random_walk: float, time_constant: float) -> Array:
@@ -135,9 +134,10 @@ def calibrate(log: Recording) -> Calibration:
         raise ValueError(f"{log.name}: at rest it reads the same numbers all the time: no noise to measure")
     # A level is unknown to a sensor at rest: only the length of what it reads tells of its bias.
     along = down / length * (length - GRAVITY)
+    turn_on = float(np.sqrt(np.mean(mean**2))), abs(length - GRAVITY)
     return Calibration(
-        gyro=_fitted(gyro, rate, mean, float(np.sqrt(np.mean(mean**2)))),
-        accel=_fitted(accel, rate, along, abs(length - GRAVITY)),
+        gyro=SensorNoise("gyroscope", "rad/s", mean, turn_on[0], *_fitted(gyro, rate)),
+        accel=SensorNoise("accelerometer", "m/s²", along, turn_on[1], *_fitted(accel, rate)),
         still_s=len(gyro) / rate,
         log=log.name,
         rate_hz=rate,
@@ -176,29 +176,29 @@ def still_readings(log: Recording) -> tuple[Array, Array]:
 def write_imu(calibration: Calibration, out: Path) -> None:
     """Write an IMU file that `quadsim generate --set imu=FILE` reads."""
     lines = [
-        f"# Calibrated by `quadsim identify --still` from {calibration.log}:",
-        f"# {calibration.still_s:.0f} s at {calibration.rate_hz:.1f} Hz at rest. Scale,",
-        "# misalignment, low-pass and range do not show at rest: take them from the data sheet, and add",
-        "# scale_factor, misalignment, low_pass_hz and saturation here.",
+        f"Calibrated by `quadsim identify --still` from {calibration.log}:",
+        f"{calibration.still_s:.0f} s at {calibration.rate_hz:.1f} Hz at rest. Scale,",
+        "misalignment, low-pass and range do not show at rest: take them from the data sheet, and add",
+        "scale_factor, misalignment, low_pass_hz and saturation here.",
+        *calibration.lacking,
     ]
-    lines += [f"# {line}" for line in calibration.lacking]
-    for name, (_, unit, sensor) in zip(("gyro", "accel"), calibration.sensors, strict=True):
-        bias = ", ".join(f"{value:.5g}" for value in sensor.bias)
-        lines += ["", f"[{name}]", f"noise = {sensor.noise:.5g} # {unit}/√Hz"]
-        if sensor.random_walk > 0:
-            sure = "" if sensor.resolved else ": a lower bound, the log is too short to tell"
-            lines += [
-                f"random_walk = {sensor.random_walk:.5g} # {unit}/√s",
-                f"time_constant = {sensor.time_constant:.5g} # s{sure}",
-            ]
-        lines += [f"turn_on = {sensor.turn_on:.5g} # {unit}, from a mean of {bias}"]
-    write_whole(out, "\n".join(lines) + "\n")
+    text = "".join(f"# {line}\n" for line in lines)
+    for key, found in (("gyro", calibration.gyro), ("accel", calibration.accel)):
+        text += f"\n[{key}]\nnoise = {found.noise:.5g} # {found.unit}/√Hz\n"
+        if found.random_walk > 0:
+            sure = "" if found.resolved else ": a lower bound, the log is too short to tell"
+            text += f"random_walk = {found.random_walk:.5g} # {found.unit}/√s\n"
+            text += f"time_constant = {found.time_constant:.5g} # s{sure}\n"
+        bias = ", ".join(f"{value:.5g}" for value in found.bias)
+        text += f"turn_on = {found.turn_on:.5g} # {found.unit}, from a mean of {bias}\n"
+    write_whole(out, text)
 
 
-def _fitted(signal: Array, rate_hz: float, bias: Array, turn_on: float) -> SensorNoise:
-    """The model with the Allan variance nearest to that of three axes (T, 3), as much as T allows.
+def _fitted(signal: Array, rate_hz: float) -> tuple[float, float, float, bool, Array, Array]:
+    """Of three axes (T, 3): N, σ_b, τ, whether τ is resolved, averaging times and Allan deviation.
 
-    N, σ_b and τ, or N alone, by least squares on the logarithm, weighted by the degrees of freedom.
+    The model with the Allan variance nearest to theirs, as much of it as T allows: N, σ_b and τ, or N alone,
+    by least squares on the logarithm, weighted by the degrees of freedom.
     """
     sizes = np.unique(np.geomspace(1, max(2, int(len(signal) * LONGEST)), POINTS).astype(np.int64))
     times = sizes / rate_hz
@@ -206,35 +206,34 @@ def _fitted(signal: Array, rate_hz: float, bias: Array, turn_on: float) -> Senso
     # Neighbouring points are of the same samples, so that many short ones must not outweigh the rest.
     freedom = np.minimum(3 * np.maximum(len(signal) / sizes - 1, 1.0), 300.0)
     longest = float(times[-1] / LONGEST)
+    curve = times, np.sqrt(variance)
 
-    def cost(*model: float) -> Array:
-        return np.sqrt(freedom / 2) * np.log(model_variance(times, *model) / variance)
-
-    def sensor(noise: float, walk: float = 0.0, tau: float = longest, resolved: bool = False) -> SensorNoise:
-        found = (float(noise), float(walk), float(tau), bool(resolved))
-        return SensorNoise(bias, turn_on, *found, times, np.sqrt(variance))
+    def cost(logarithms: Array) -> Array:
+        return np.sqrt(freedom / 2) * np.log(model_variance(times, *np.exp(logarithms)) / variance)
 
     if len(signal) / rate_hz < WALK_S:
-        return sensor(np.exp(0.5 * np.average(np.log(variance * times), weights=freedom / 2)))
+        noise = float(np.exp(0.5 * np.average(np.log(variance * times), weights=freedom / 2)))
+        return noise, 0.0, longest, False, *curve
     white, walk = np.sqrt(variance[0] * times[0]), np.sqrt(variance[-1] / times[-1])
     bounds = (np.log([white / 10, walk / 1e3, 10 * times[0]]), np.log([white * 10, walk * 1e3, longest]))
     starts = (np.log([white, walk, tau]) for tau in (longest / 30, longest / 3, longest))
-    fits = [least_squares(lambda p: cost(*np.exp(p)), start, bounds=bounds) for start in starts]
-    best = min(fits, key=lambda fit: fit.cost)
-    noise, walk, tau = np.exp(best.x)
-    if np.sum(cost(noise, 0.0, 1.0) ** 2) / 2 < best.cost + STILL.chance:
-        return sensor(noise)
-    return sensor(noise, walk, tau, tau < 0.9 * longest)
+    best = min((least_squares(cost, start, bounds=bounds) for start in starts), key=lambda fit: fit.cost)
+    noise, walk, tau = np.exp(best.x).tolist()
+    with np.errstate(divide="ignore"):
+        alone = np.sum(cost(np.log([noise, 0.0, 1.0])) ** 2) / 2
+    if alone < best.cost + STILL.chance:
+        return noise, 0.0, longest, False, *curve
+    return noise, walk, tau, tau < 0.9 * longest, *curve
 
 
 def draw(calibration: Calibration) -> Figure:
     """Measured and fitted Allan deviation of both sensors."""
     figure = Figure(figsize=(9, 3.8), layout="constrained")
-    for axes, (name, unit, sensor) in zip(figure.subplots(1, 2), calibration.sensors, strict=True):
-        axes.loglog(sensor.times, sensor.deviation, "o", ms=3.5, label="log")
-        fitted = model_variance(sensor.times, sensor.noise, sensor.random_walk, sensor.time_constant)
-        axes.loglog(sensor.times, np.sqrt(fitted), lw=1.5, label="fitted model")
-        axes.set(xlabel="averaging time, s", ylabel=f"Allan deviation, {unit}", title=name)
+    for axes, found in zip(figure.subplots(1, 2), (calibration.gyro, calibration.accel), strict=True):
+        axes.loglog(found.times, found.deviation, "o", ms=3.5, label="log")
+        fitted = model_variance(found.times, found.noise, found.random_walk, found.time_constant)
+        axes.loglog(found.times, np.sqrt(fitted), lw=1.5, label="fitted model")
+        axes.set(xlabel="averaging time, s", ylabel=f"Allan deviation, {found.unit}", title=found.name)
         axes.grid(True, which="both", alpha=0.25)
         axes.legend()
     return figure
@@ -245,12 +244,14 @@ def show_calibration(found: Calibration, out: Path) -> None:
     write_imu(found, out)
     save_figure(out.with_suffix(".png"), draw(found), dpi=130)
     rows = []
-    for (name, unit, sensor), seen in zip(found.sensors, ("", ", along gravity"), strict=True):
-        bias = (f"{value:+.5f}" for value in sensor.bias)
-        tau = f"{'' if sensor.resolved else '> '}{sensor.time_constant:.0f}" if sensor.random_walk else "-"
-        walk = f"{sensor.random_walk:.4g}" if sensor.random_walk else "-"
-        turn_on = f"{sensor.turn_on:.3g}"
-        rows.append((f"{name}{seen}, {unit}", *bias, turn_on, f"{sensor.noise:.4g}", walk, tau))
+    for each, seen in ((found.gyro, ""), (found.accel, ", along gravity")):
+        walk, tau = "-", "-"
+        if each.random_walk:
+            walk = f"{each.random_walk:.4g}"
+            tau = f"{'' if each.resolved else '> '}{each.time_constant:.0f}"
+        bias = (f"{value:+.5f}" for value in each.bias)
+        turn_on, noise = f"{each.turn_on:.3g}", f"{each.noise:.4g}"
+        rows.append((f"{each.name}{seen}, {each.unit}", *bias, turn_on, noise, walk, tau))
     headings = ("bias x", "y", "z", "turn-on bias", "noise density", "bias random walk", "time constant, s")
     print_table(rows, ("sensor", *headings))
     for line in found.lacking:

@@ -1,7 +1,6 @@
 """A recording's stamps and readings before they are resampled: its longest part, and what is odd about it."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,38 +20,53 @@ FEWEST = 8
 """Samples that a part has at least."""
 
 
-def longest_part(log: Recording) -> tuple[Recording, dict[str, int]]:
+def longest_part(log: Recording) -> tuple[Recording, dict[str, float]]:
     """The longest part of a recording, with finite readings and stamps that go forward.
 
     Args:
         log: A recording on its own stamps.
 
     Returns:
-        The part, and counts of what was left out or is odd, by the names of `LogReport`.
+        The part, and counts of what was left out or is odd, by the names of `LogReport.counts`.
 
     Raises:
         ValueError: Too few samples, rows out of order, or a sample rate that no IMU has.
     """
-    unstamped = ~np.isfinite(log.time)
-    back = np.diff(log.time[~unstamped]) < -CLEAN.back_s
+    stamped = np.isfinite(log.time)
+    back = np.diff(log.time[stamped]) < -CLEAN.back_s
     if back.sum() > CLEAN.unsorted * back.size:
         share = f"{100 * back.mean():.0f} %"
         raise ValueError(f"{log.name}: {share} of the stamps go back: sort the rows by time")
     parts = split(log)
-    log, counted = _cleaned(max(parts, key=lambda part: part.time.size))
-    time, period = log.time, float(np.median(np.diff(log.time)))
+    longest = max(parts, key=lambda part: part.time.size)
+    readings = np.concatenate([longest.gyro, longest.accel], axis=1)
+    finite = np.isfinite(readings).all(axis=1)
+    beyond = finite & (np.abs(readings) > np.repeat([RATE_MAX, FORCE_MAX], 3)).any(axis=1)
+    if beyond.sum() <= CLEAN.rare * finite.sum():  # many are no spikes, but of another unit
+        finite &= ~beyond
+    steps = np.diff(longest.time[finite])
+    closest = CLEAN.closest * float(np.median(steps[steps > EXACT_S])) if (steps > EXACT_S).any() else 0.0
+    rows = np.flatnonzero(finite)
+    rows = rows[forward(longest.time[rows], max(EXACT_S, closest))]
+    time = longest.time[rows]
+    if time.size < FEWEST:
+        lacking = f"{time.size} usable samples whose stamps go forward; at least {FEWEST} are required"
+        raise ValueError(f"{log.name}: {lacking}")
+    period, length = float(np.median(np.diff(time))), time[-1] - time[0]
     if not RATES_HZ[0] <= 1.0 / period <= RATES_HZ[1]:
-        raise ValueError(
-            f"{log.name}: {1.0 / period:.3g} samples per second; {RATES_HZ[0]:g} to {RATES_HZ[1]:g} are "
-            f"allowed: {_unit_of_stamps(period)}"
-        )
-    if time[-1] - time[0] > CLEAN.sparse * period * time.size:
-        raise ValueError(
-            f"{log.name}: {time.size} samples at {1.0 / period:.0f} Hz in {time[-1] - time[0]:.0f} s: "
-            "most of the log is missing"
-        )
-    counted["missing"] += int(unstamped.sum())
-    return log, counted | {"parts": len(parts)}
+        allowed = f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} are allowed: {_unit_of_stamps(period)}"
+        raise ValueError(f"{log.name}: {1.0 / period:.3g} samples per second; {allowed}")
+    if length > CLEAN.sparse * period * time.size:
+        few = f"{time.size} samples at {1.0 / period:.0f} Hz in {length:.0f} s"
+        raise ValueError(f"{log.name}: {few}: most of the log is missing")
+    readings = readings[rows]
+    return replace(longest, time=time, gyro=readings[:, :3], accel=readings[:, 3:]), {
+        "parts": len(parts),
+        "missing": int((~finite).sum() + (~stamped).sum()),
+        "stamps_back": int(finite.sum()) - rows.size,
+        "clock_back_ms": round(-1e3 * float(steps.min(initial=0.0))),
+        "repeated": int((readings[1:] == readings[:-1]).all(axis=1).sum()),
+    }
 
 
 def split(log: Recording) -> list[Recording]:
@@ -82,8 +96,8 @@ def _between_gaps(time: Array, rows: NDArray[np.int64]) -> list[NDArray[np.int64
     return [part for part in np.split(rows, cuts) if part.size >= FEWEST]
 
 
-def gaps_of(time: Array) -> tuple[NDArray[np.bool_], dict[str, Any]]:
-    """Which steps of the stamps (T,) are gaps, (T − 1,), and counts of steps by the names of `LogReport`."""
+def gaps_of(time: Array) -> tuple[NDArray[np.bool_], dict[str, float]]:
+    """Which steps of the stamps (T,) are gaps, (T − 1,), and numbers by the names of `LogReport.counts`."""
     steps = np.diff(time)
     period = float(np.median(steps))
     gap = steps > max(CLEAN.gap * period, period + CLEAN.jitter_s)
@@ -145,30 +159,3 @@ def _unit_of_stamps(period: float) -> str:
 def forward(time: Array, least: float = 0.0) -> NDArray[np.bool_]:
     """Stamps (T,) that are later than all before them by more than a time [s]."""
     return np.diff(np.maximum.accumulate(time), prepend=-np.inf) > least
-
-
-def _cleaned(log: Recording) -> tuple[Recording, dict[str, int]]:
-    """Readings with finite numbers and stamps that go forward, and how many were otherwise."""
-    readings = np.concatenate([log.gyro, log.accel], axis=1)
-    finite = np.isfinite(readings).all(axis=1)
-    beyond = finite & (np.abs(readings) > np.repeat([RATE_MAX, FORCE_MAX], 3)).any(axis=1)
-    if beyond.sum() <= CLEAN.rare * finite.sum():  # many are no spikes, but of another unit
-        finite &= ~beyond
-    readings, time = readings[finite], log.time[finite]
-    steps = np.diff(time)
-    apart = steps[steps > EXACT_S]
-    least = max(EXACT_S, CLEAN.closest * float(np.median(apart))) if apart.size else EXACT_S
-    good = forward(time, least)
-    readings, time = readings[good], time[good]
-    if time.size < FEWEST:
-        raise ValueError(
-            f"{log.name}: {time.size} usable samples whose stamps go forward; at least {FEWEST} are required"
-        )
-    same = (readings[1:] == readings[:-1]).all(axis=1)
-    counted = {
-        "missing": int((~finite).sum()),
-        "stamps_back": int((~good).sum()),
-        "clock_back_ms": round(-1e3 * float(steps.min(initial=0.0))),
-        "repeated": int(same.sum()),
-    }
-    return replace(log, time=time, gyro=readings[:, :3], accel=readings[:, 3:]), counted

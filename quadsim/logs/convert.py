@@ -47,9 +47,7 @@ def convert(logs: Sequence[xr.Dataset], out: Path, piece_s: float = 20.0) -> Pat
             raise ValueError(
                 f"no piece of {piece_s:g} s without a gap and with a known attitude: choose a shorter --piece"
             )
-        held = set(READ)
-        if all("position" in log for log in logs):
-            held.add("position")
+        held = {*READ} | ({"position"} if all("position" in log for log in logs) else set())
         if all(_has_rotors(piece) for piece in pieces):
             held.add("rotor_vel")
         names = tuple(str(log.attrs["source"]) for log in logs)
@@ -90,6 +88,5 @@ def _pieces(log: xr.Dataset, steps: int) -> list[xr.Dataset]:
 
 def _has_rotors(piece: xr.Dataset) -> bool:
     """Whether the speed of each of the dataset's rotors is known all the time."""
-    if "rotor_vel" not in piece or piece["rotor_vel"].shape[-1] != WIDTH["rotor_vel"]:
-        return False
-    return bool(np.isfinite(piece["rotor_vel"]).all())
+    speeds = piece.get("rotor_vel", np.empty((1, 0)))
+    return speeds.shape[-1] == WIDTH["rotor_vel"] and bool(np.isfinite(speeds).all())

@@ -129,22 +129,19 @@ def estimate_mount(log: xr.Dataset, given: str | None = None, from_level: bool =
     report, rate_hz = log.attrs["log"], float(log.attrs["rate_hz"])
     gyro, accel, quat = (log[name].to_numpy()[0] for name in ("gyro", "accel", "quat"))
     try:
-        if np.isfinite(quat).any() and report.truth_axes == "body" and not from_level:
-            found = with_accel_bias(mount_from_truth(gyro, quat, rate_hz), accel, quat)
+        if np.isfinite(quat).any() and report.log.truth_axes == "body" and not from_level:
+            found = _with_accel_bias(_mount_from_truth(gyro, quat, rate_hz), accel, quat)
         else:
-            found = mount_from_level(level(gyro, accel, rate_hz))
+            found = _mount_from_level(level(gyro, accel, rate_hz))
     except ValueError as error:
-        raise ValueError(f"{report.path}: {error}") from None
+        raise ValueError(f"{report.log.path}: {error}") from None
     return found if given is None else found._replace(body_from_imu=found.body_from_imu @ mount_matrix(given))
 
 
-def mount_from_level(found: MeanForce | None) -> MountEstimate:
+def _mount_from_level(found: MeanForce | None) -> MountEstimate:
     """The mounting at which the mean force is along body z; its heading is taken as zero.
 
     The standard deviation is that of the mean and of an accelerometer's bias.
-
-    Raises:
-        ValueError: No complete second, or the force has no steady direction.
     """
     if found is None:
         raise ValueError("no second without missing samples")
@@ -155,15 +152,12 @@ def mount_from_level(found: MeanForce | None) -> MountEstimate:
     return MountEstimate(found.mount, (sd, sd, np.inf), by)
 
 
-def mount_from_truth(gyro: Array, quat: Array, rate_hz: float) -> MountEstimate:
+def _mount_from_truth(gyro: Array, quat: Array, rate_hz: float) -> MountEstimate:
     """The rotation that brings the gyroscope's rates nearest to those of the true attitude.
 
     Wahba's problem, min Σ |ω_truth − R ω_gyro|² (Markley 1988), of rates over spans, the mean of both and the
     truth's delay taken out. Spans overlap, so that the noise of every sample of the truth is averaged; the
     standard deviation is that of as many as do not.
-
-    Raises:
-        ValueError: Too little motion, or about one axis alone.
     """
     rates = turns_at_delay(gyro, quat, rate_hz)
     if rates is None:
@@ -179,11 +173,10 @@ def mount_from_truth(gyro: Array, quat: Array, rate_hz: float) -> MountEstimate:
             f"the mounting is uncertain by {sd.max():.0f}° (1 SD): the truth has to turn about two axes, and "
             "as the gyroscope does"
         )
-    x, y, z = sd.tolist()
-    return MountEstimate(np.asarray(rotation.as_matrix()), (x, y, z), f"{count} turns of the truth")
+    return MountEstimate(np.asarray(rotation.as_matrix()), tuple(sd.tolist()), f"{count} turns of the truth")
 
 
-def with_accel_bias(found: MountEstimate, accel: Array, quat: Array) -> MountEstimate:
+def _with_accel_bias(found: MountEstimate, accel: Array, quat: Array) -> MountEstimate:
     """A mounting by the truth, with the accelerometer's bias: its mean less gravity's in body axes.
 
     Filters take the bias for a tilt. Where it hides a part of the IMU's tilt, so that more would show with
@@ -201,10 +194,9 @@ def with_accel_bias(found: MountEstimate, accel: Array, quat: Array) -> MountEst
     axis = np.cross(mounted_force, gravity)
     sine = float(np.linalg.norm(axis))
     tilt = np.arctan2(sine, float(mounted_force @ gravity))
-    levelling = Rotation.from_rotvec(axis / max(sine, 1e-12) * tilt)
+    levelled = Rotation.from_rotvec(axis / max(sine, 1e-12) * tilt).as_matrix() @ found.body_from_imu
     sd = np.hypot(found.sd_deg, np.degrees([tilt, tilt, 0.0]))
-    body_from_imu = levelling.as_matrix() @ found.body_from_imu
-    return found._replace(body_from_imu=body_from_imu, sd_deg=tuple(sd.tolist()), levelled=True)
+    return found._replace(body_from_imu=levelled, sd_deg=tuple(sd.tolist()), levelled=True)
 
 
 def show_estimate(path: Path, found: MountEstimate) -> None:

@@ -4,8 +4,6 @@ Nothing is bridged in silence: where the log has a gap the samples are NaN, whic
 missing, and where the truth is not known it is NaN, which no score counts.
 """
 
-from collections.abc import Iterator
-
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -16,8 +14,8 @@ from scipy.spatial.transform import Rotation, Slerp
 from ..dataset.store import LABELS, MEASURED
 from ..rotation import quat_rotate, wxyz_from_xyzw, xyzw_from_wxyz
 from .cleaning import EXACT_S, LONGEST_GAP_S, forward, gaps_of, longest_part, stuck_samples
-from .log_faults import fast_part, find_faults
-from .log_report import AXES, LogReport
+from .log_faults import find_faults
+from .log_report import LogReport
 from .mounting import level, turn_at_rest
 from .recording import Array, Recording
 from .truth import align
@@ -47,7 +45,7 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
     Raises:
         ValueError: Too few samples, or a sample rate that cannot be brought to the new one.
     """
-    log, counted = longest_part(log)
+    log, counts = longest_part(log)
     time, readings = log.time, np.concatenate([log.gyro, log.accel], axis=1)
     gap, steps = gaps_of(time)
     source_rate = steps["source_rate_hz"]
@@ -61,45 +59,25 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
             even[inside] = _even(time[part], readings[part], grid[inside], rate_hz, source_rate, corner)
     even[np.interp(grid, time, stuck.any(axis=1)) > 0.0] = np.nan
     gyro, accel = even[:, :3], even[:, 3:]
-    truth, of_truth = _truth(log, grid)
-    sensors = {
-        name: interpolated(grid, track.time, track.values, SENSOR_GAP_S)
-        for name, track in log.sensors.items()
+    arrays, truth_rate = _truth(log, grid)
+    quat = arrays["quat"]
+    arrays |= {"gyro": gyro, "accel": accel} | {
+        name: interpolated(grid, *track, SENSOR_GAP_S) for name, track in log.sensors.items()
     }
-    quat = truth["quat"]
-    known = np.isfinite(quat).all(axis=1) & np.isfinite(even).all(axis=1)
+    attitude = np.isfinite(quat).all(axis=1)
+    known = attitude & np.isfinite(even).all(axis=1)
     gravity = quat_rotate(quat[known], accel[known]).mean(axis=0) if known.any() else None
-    weight = float(np.median(np.linalg.norm(log.accel, axis=1)))
     report = LogReport(
-        format=log.format,
-        truth=log.truth,
-        truth_axes=log.truth_axes,
-        path=log.path,
-        notes=log.notes,
-        truth_share=float(np.isfinite(quat).all(axis=1).mean()),
-        gravity=None if gravity is None else tuple(gravity.tolist()),
+        log,
+        counts | steps | {"truth_rate_hz": truth_rate, "truth_share": float(attitude.mean())},
+        sensor_faults=find_faults(time, readings, stuck, even_gyro=gyro, quat=quat, rate_hz=rate_hz),
+        gravity=gravity,
         aligned=align(gyro, quat, rate_hz),
         level=level(gyro, accel, rate_hz) if gravity is None or log.truth_axes == "imu" else None,
         rest=turn_at_rest(gyro, accel, rate_hz),
-        weight=weight,
-        vibration=float(np.sqrt((fast_part(log.accel, source_rate) ** 2).sum(axis=1).mean())),
-        upright=float(log.accel[:, 2].mean() / max(weight, 1e-9)),
-        still=tuple(_still(readings)),
-        sensor_faults=find_faults(time, readings, stuck, even_gyro=gyro, quat=quat, rate_hz=rate_hz),
         filter_hz=corner,
-        **of_truth,
-        **counted,
-        **steps,
     )
-    return _dataset({"gyro": gyro, "accel": accel} | truth | sensors, rate_hz, log.name, report), report
-
-
-def _still(readings: Array) -> Iterator[str]:
-    """Sensors, or axes of one, that read the same number all the time."""
-    constant = (readings == readings[0]).all(axis=0)
-    for name, first in (("the gyroscope", 0), ("the accelerometer", 3)):
-        axes = [AXES[k] for k in range(first, first + 3) if constant[k]]
-        yield from [name] if len(axes) == 3 else axes
+    return _dataset(arrays, rate_hz, log.name, report), report
 
 
 def _even(
@@ -139,20 +117,17 @@ def _between(grid: Array, time: Array, longest_s: float) -> NDArray[np.bool_]:
     return inside & (time[after] - time[after - 1] <= longest_s)
 
 
-def _truth(log: Recording, grid: Array) -> tuple[dict[str, Array], dict[str, float | None]]:
-    """Attitude, position and mark on the grid, NaN where not known; rate and length by the report's names."""
+def _truth(log: Recording, grid: Array) -> tuple[dict[str, Array], float]:
+    """Attitude, position and mark on the grid, NaN where not known; and samples per second of the truth."""
     out = {"quat": np.full((grid.size, 4), np.nan), "scored": np.zeros(grid.size, bool)}
-    found: dict[str, float | None] = {"truth_rate_hz": 0.0, "truth_norm": None}
     if log.quat is None or log.truth_time is None:
-        return out, found
+        return out, 0.0
     length = np.linalg.norm(log.quat, axis=1)
-    if (measured := length[length > 0]).size:  # not NaN, and infinite where a square is too large
-        found["truth_norm"] = float(np.median(measured))
     near = (log.truth_time >= grid[0] - LONGEST_GAP_S) & (log.truth_time <= grid[-1] + LONGEST_GAP_S)
     kept = np.flatnonzero(near & (length > 0.5) & np.isfinite(length))
     kept = kept[forward(log.truth_time[kept])]
     if kept.size < 2:
-        return out, found
+        return out, 0.0
     time = log.truth_time[kept]
     known = _between(grid, time, TRUTH_GAP_S)
     if known.any():
@@ -163,23 +138,20 @@ def _truth(log: Recording, grid: Array) -> tuple[dict[str, Array], dict[str, flo
     out["scored"] = known & mark[after] & mark[after - 1]
     if log.position is not None:
         out["position"] = interpolated(grid, time, log.position[kept], TRUTH_GAP_S)
-    return out, found | {"truth_rate_hz": float(1.0 / np.median(np.diff(time)))}
+    return out, float(1.0 / np.median(np.diff(time)))
 
 
 def _dataset(arrays: dict[str, Array], rate_hz: float, name: str, report: LogReport) -> xr.Dataset:
     steps = len(arrays["gyro"])
-    variables = {
-        name: (
-            ("flight", "time", MEASURED[name].dim),
-            values[None],
-            {"units": MEASURED[name].units, "long_name": MEASURED[name].long_name},
-        )
-        for name, values in arrays.items()
-        if name != "scored"
+    variables: dict[str, tuple] = {
+        "scored": (("flight", "time"), arrays.pop("scored")[None], {"long_name": "marked for scoring"})
     }
-    scored = ("flight", "time"), arrays["scored"][None], {"long_name": "marked for scoring"}
+    for each, values in arrays.items():
+        kind = MEASURED[each]
+        about = {"units": kind.units, "long_name": kind.long_name}
+        variables[each] = (("flight", "time", kind.dim), values[None], about)
     return xr.Dataset(
-        {**variables, "scored": scored},
+        variables,
         coords={
             "flight": [0],
             "time": ("time", np.arange(steps) / rate_hz, {"units": "s"}),

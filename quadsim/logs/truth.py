@@ -58,66 +58,30 @@ class Alignment(NamedTuple):
     """Whether both turn alike."""
 
 
-class Turns(NamedTuple):
-    """Mean body rates over a time, NaN where one of them is not known."""
-
-    measured: Array
-    """By the gyroscope (m, 3) [rad/s]."""
-    true: Array
-    """By the attitude (m, 3) [rad/s]."""
-    span: int
-    """Samples of a mean."""
-    most: int
-    """Largest delay that is looked for, in samples."""
-
-    def at(self, lag: int) -> tuple[Array, Array]:
-        """Both where the truth is `lag` samples late, less their means, where both are known."""
-        a, b = self.measured, self.true
-        a, b = (a[: a.shape[0] - lag], b[lag:]) if lag >= 0 else (a[-lag:], b[:lag])
-        both = np.isfinite(a[:, 0]) & np.isfinite(b[:, 0])
-        return a[both] - a[both].mean(axis=0), b[both] - b[both].mean(axis=0)
-
-    def at_all_delays(self) -> "_Cross":
-        """How they belong together at every delay from the largest negative one on: arrays of them."""
-        known = np.isfinite(self.measured[:, 0]).astype(np.float64)
-        a, b = (np.nan_to_num(each).T for each in (self.measured, self.true))
-        here = slice(known.size - 1 - self.most, known.size + self.most)
-
-        def summed(x: Array, y: Array) -> Array:
-            return correlate(y, x, method="fft")[here]
-
-        count = summed(known, known)
-        sums_a, sums_b = ([summed(x, known) for x in a], [summed(known, y) for y in b])
-        products = [[summed(x, y) for y in b] for x in a]
-        moments = np.array(products) - np.einsum("il,jl->ijl", sums_a, sums_b) / count
-        p = summed((a**2).sum(axis=0), known) - (np.array(sums_a) ** 2).sum(axis=0) / count
-        q = summed(known, (b**2).sum(axis=0)) - (np.array(sums_b) ** 2).sum(axis=0) / count
-        return _Cross.of(np.moveaxis(moments, -1, 0), p, q)
-
-
 def align(gyro: Array, quat: Array, rate_hz: float) -> Alignment | None:
     """Find the delay at which the truth turns most as the gyroscope says, and compare both there.
 
     Returns:
         The result; None where there is too little motion.
     """
-    short, long = (_turns(gyro, quat, rate_hz, span_s) for span_s in (SPAN_S, LONG_S))
-    if short is None or long is None:
+    found = _turns(gyro, quat, rate_hz)
+    if found is None:
         return None
-    crosses = short.at_all_delays()
-    fit = crosses.agreement
+    matches = found[0].at_all_delays()
+    fit, most = matches.agreement, found[0].most
     peak = int(np.clip(np.argmax(fit), 1, fit.size - 2))
     left, top, right = fit[peak - 1 : peak + 2]
     bend = left - 2 * top + right
     beside = 0.5 * (left - right) / bend if bend < 0 else 0.0
-    rotated = int(np.argmax(crosses.rotated_agreement))
-    both = [_agreement(each, peak - short.most, rotated - short.most) for each in (short, long)]
+    rotated = int(np.argmax(matches.rotated_agreement))
     return Alignment(
-        delay_s=float((peak - short.most + beside) / rate_hz),
+        delay_s=float((peak - most + beside) / rate_hz),
         agreement=float(top),
-        rotated_agreement=float(crosses.rotated_agreement[rotated]),
-        slope=float(crosses.slope[rotated]),
-        turned=max(both, key=lambda each: each.common),
+        rotated_agreement=float(matches.rotated_agreement[rotated]),
+        slope=float(matches.slope[rotated]),
+        turned=max(
+            (_agreement(each, peak - most, rotated - most) for each in found), key=lambda each: each.common
+        ),
     )
 
 
@@ -129,55 +93,92 @@ def turns_at_delay(gyro: Array, quat: Array, rate_hz: float) -> tuple[Array, Arr
     there is too little motion.
     """
     found = []
-    for span_s in (SPAN_S, LONG_S):
-        if (rates := _turns(gyro, quat, rate_hz, span_s)) is None:
-            return None
-        crosses = rates.at_all_delays()
-        best = int(np.argmax(crosses.rotated_agreement))
-        measured, true = rates.at(best - rates.most)
-        found.append((crosses.common[best], measured / crosses.slope[best], true, rates.span))
-    return max(found, key=lambda each: each[0])[1:]
+    for turns in _turns(gyro, quat, rate_hz) or ():
+        matches = turns.at_all_delays()
+        best = int(np.argmax(matches.rotated_agreement))
+        measured, true = turns.at(best - turns.most)
+        found.append((matches.common[best], measured / matches.slope[best], true, turns.span))
+    return max(found, key=lambda each: each[0])[1:] if found else None
 
 
-def _turns(gyro: Array, quat: Array, rate_hz: float, span_s: float) -> Turns | None:
-    """Mean body rates of the gyroscope and of the truth, or None where there is too little motion."""
-    known = np.asarray(np.isfinite(quat).all(axis=1))
-    span = max(round(span_s * rate_hz), 1)
-    if known.size < 4 * span + 2 * SEARCH_S * rate_hz:
-        return None
+class _Turns(NamedTuple):
+    """Mean body rates (m, 3) [rad/s] by gyroscope and attitude over `span` samples, NaN where not known.
+
+    Delays up to `most` samples are looked for.
+    """
+
+    measured: Array
+    true: Array
+    span: int
+    most: int
+
+    def at(self, lag: int) -> tuple[Array, Array]:
+        """Both where the truth is `lag` samples late, less their means, where both are known."""
+        a, b = self.measured, self.true
+        a, b = (a[: a.shape[0] - lag], b[lag:]) if lag >= 0 else (a[-lag:], b[:lag])
+        both = np.isfinite(a[:, 0]) & np.isfinite(b[:, 0])
+        return a[both] - a[both].mean(axis=0), b[both] - b[both].mean(axis=0)
+
+    def at_all_delays(self) -> "_Match":
+        """How they belong together at every delay from the largest negative one on: arrays of them."""
+        known = np.isfinite(self.measured[:, 0]).astype(np.float64)
+        a, b = (np.nan_to_num(each).T for each in (self.measured, self.true))
+
+        def summed(x: Array, y: Array) -> Array:
+            return correlate(y, x, method="fft")[known.size - 1 - self.most : known.size + self.most]
+
+        count = summed(known, known)
+        sums_a, sums_b = np.array([[summed(x, known) for x in a], [summed(known, y) for y in b]])
+        products = np.array([[summed(x, y) for y in b] for x in a])
+        moments = products - np.einsum("il,jl->ijl", sums_a, sums_b) / count
+        p = summed((a**2).sum(axis=0), known) - (sums_a**2).sum(axis=0) / count
+        q = summed(known, (b**2).sum(axis=0)) - (sums_b**2).sum(axis=0) / count
+        return _match(np.moveaxis(moments, -1, 0), p, q)
+
+
+def _turns(gyro: Array, quat: Array, rate_hz: float) -> list[_Turns] | None:
+    """Turns over `SPAN_S` and over `LONG_S`, or None where one of them has too little motion."""
+    known, found = np.asarray(np.isfinite(quat).all(axis=1)), []
     xyzw = xyzw_from_wxyz(np.where(known[:, None], quat, (1.0, 0.0, 0.0, 0.0)))
-    before, after = Rotation.from_quat(xyzw[:-span]), Rotation.from_quat(xyzw[span:])
-    turn = (before.inv() * after).as_rotvec() * rate_hz / span
     between = 0.5 * (gyro[:-1] + gyro[1:]).clip(-1e9, 1e9)  # the squares of any number are finite
-    measured = np.stack([np.convolve(axis, np.full(span, 1 / span), "valid") for axis in between.T], axis=1)
-    both = known[:-span] & known[span:] & np.isfinite(measured).all(axis=1)
-    if both.sum() < 4 * SEARCH_S * rate_hz:
-        return None
-    a, b = (np.where(both[:, None], x, np.nan) for x in (measured, turn))
-    spreads = [np.nanstd(x, axis=0).max() for x in (a, b)]
-    if min(spreads) < TURN.moving and max(spreads) < TURN.surely_moving:
-        return None
-    return Turns(a, b, span, round(SEARCH_S * rate_hz))
+    for span_s in (SPAN_S, LONG_S):
+        span = max(round(span_s * rate_hz), 1)
+        if known.size < 4 * span + 2 * SEARCH_S * rate_hz:
+            return None
+        before, after = Rotation.from_quat(xyzw[:-span]), Rotation.from_quat(xyzw[span:])
+        turn = (before.inv() * after).as_rotvec() * rate_hz / span
+        measured = np.stack(
+            [np.convolve(axis, np.full(span, 1 / span), "valid") for axis in between.T], axis=1
+        )
+        both = known[:-span] & known[span:] & np.isfinite(measured).all(axis=1)
+        if both.sum() < 4 * SEARCH_S * rate_hz:
+            return None
+        a, b = (np.where(both[:, None], x, np.nan) for x in (measured, turn))
+        spreads = [np.nanstd(x, axis=0).max() for x in (a, b)]
+        if min(spreads) < TURN.moving and max(spreads) < TURN.surely_moving:
+            return None
+        found.append(_Turns(a, b, span, round(SEARCH_S * rate_hz)))
+    return found
 
 
-def _agreement(rates: Turns, lag: int, rotated_lag: int) -> Agreement:
+def _agreement(turns: _Turns, lag: int, rotated_lag: int) -> Agreement:
     """How turns agree at two delays in samples, with the gyroscope's axes as they are and rotated.
 
     The correlation under the best rotation or mirroring, c = (s₁ + s₂ + s₃)/√(pq), is less than 1 by the
     truth's noise, which has the share 1 − c² of its variance q. Correlations are corrected for it
     (Spearman 1904); it is taken to be the same about every axis.
     """
-    a, b = rates.at(lag)
-    plain, best = (_Cross.of(x.T @ y, (x**2).sum(), (y**2).sum()) for x, y in ((a, b), rates.at(rotated_lag)))
+    a, b = turns.at(lag)
+    plain, best = (_match(x.T @ y, (x**2).sum(), (y**2).sum()) for x, y in ((a, b), turns.at(rotated_lag)))
     common = max(float(plain.common), float(best.common))
     explained = common if common > TURN.common else 1.0
     noise = (1 - explained**2) * float((b**2).sum()) / 3
     signal = (b**2).sum(axis=0) - noise
-    turns = signal > TURN.turning**2 * len(b)
-    scale = np.sqrt(np.maximum((a**2).sum(axis=0), 1e-30) * np.where(turns, signal, 1.0))
+    turning = signal > TURN.turning**2 * len(b)
+    scale = np.sqrt(np.maximum((a**2).sum(axis=0), 1e-30) * np.where(turning, signal, 1.0))
     return Agreement(
         agreement=float(plain.agreement) / explained,
-        axes=np.where(turns, (a * b).sum(axis=0) / scale, 1.0),
+        axes=np.where(turning, (a * b).sum(axis=0) / scale, 1.0),
         rotated=float(best.rotated_agreement) / explained,
         rotation_deg=float(best.rotation_deg),
         gain=float(best.rotated_agreement - plain.agreement),
@@ -185,8 +186,8 @@ def _agreement(rates: Turns, lag: int, rotated_lag: int) -> Agreement:
     )
 
 
-class _Cross(NamedTuple):
-    """How two series without their means belong together, all axes together: numbers, or arrays of them."""
+class _Match(NamedTuple):
+    """Correlations as they are, rotated, and rotated or mirrored; the rotation's angle; the slope: (...)."""
 
     agreement: Array
     rotated_agreement: Array
@@ -194,29 +195,30 @@ class _Cross(NamedTuple):
     rotation_deg: Array
     slope: Array
 
-    @classmethod
-    def of(cls, moments: Array, p: Array, q: Array) -> "_Cross":
-        """From the second moments Σ a bᵀ (..., 3, 3), p = Σ |a|² and q = Σ |b|² (...).
 
-        The rotation R is that which maximises c = Σ b·R a = tr(R Σ a bᵀ) = s₁ + s₂ ± s₃, the singular values
-        (Kabsch 1976). The correlation is r = c/√(pq) and the slope of a over b √(p/q), midway between the two
-        regressions c/q, which noise of b biases low, and p/c, which noise of a biases high. They are r and
-        1/r times it, and the true slope is between them (Frisch 1934).
-        """
-        p, q = np.maximum(p, 1e-30), np.maximum(q, 1e-30)
-        u, s, vt = np.linalg.svd(moments)
-        proper = np.ones_like(s)
-        proper[..., -1] = np.linalg.det(u @ vt)
-        rotation = (np.swapaxes(vt, -1, -2) * proper[..., None, :]) @ np.swapaxes(u, -1, -2)
-        cosine = (np.trace(rotation, axis1=-2, axis2=-1) - 1.0) / 2.0
-        scale = np.sqrt(p * q)
-        return cls(
-            np.trace(moments, axis1=-2, axis2=-1) / scale,
-            (s * proper).sum(axis=-1) / scale,
-            s.sum(axis=-1) / scale,
-            np.degrees(np.arccos(np.clip(cosine, -1, 1))),
-            np.sqrt(p / q),
-        )
+def _match(moments: Array, p: Array, q: Array) -> _Match:
+    """How two series without their means belong together, all axes together.
+
+    From the second moments Σ a bᵀ (..., 3, 3), p = Σ |a|² and q = Σ |b|² (...). The rotation R is that which
+    maximises c = Σ b·R a = tr(R Σ a bᵀ) = s₁ + s₂ ± s₃, the singular values (Kabsch 1976). The correlation is
+    r = c/√(pq) and the slope of a over b √(p/q), midway between the two regressions c/q, which noise of b
+    biases low, and p/c, which noise of a biases high. They are r and 1/r times it, and the true slope is
+    between them (Frisch 1934).
+    """
+    p, q = np.maximum(p, 1e-30), np.maximum(q, 1e-30)
+    u, s, vt = np.linalg.svd(moments)
+    proper = np.ones_like(s)
+    proper[..., -1] = np.linalg.det(u @ vt)
+    rotation = (np.swapaxes(vt, -1, -2) * proper[..., None, :]) @ np.swapaxes(u, -1, -2)
+    cosine = (np.trace(rotation, axis1=-2, axis2=-1) - 1.0) / 2.0
+    scale = np.sqrt(p * q)
+    return _Match(
+        np.trace(moments, axis1=-2, axis2=-1) / scale,
+        (s * proper).sum(axis=-1) / scale,
+        s.sum(axis=-1) / scale,
+        np.degrees(np.arccos(np.clip(cosine, -1, 1))),
+        np.sqrt(p / q),
+    )
 
 
 class GyroBias(NamedTuple):
@@ -264,11 +266,7 @@ def bias_over_time(gyro: Array, quat: Array, rate_hz: float) -> tuple[Array, Arr
     The bias is linear about that of the log. All are NaN where the turn is fast or not known.
     """
     known, rates, truth = _slow_turns(gyro, quat, rate_hz)
-    bias, means, rms = (
-        np.full((len(known), 3), np.nan),
-        np.full((len(known), 3), np.nan),
-        np.full(len(known), np.nan),
-    )
+    bias, means, rms = (np.full((len(known), *shape), np.nan) for shape in ((3,), (3,), ()))
     rms[known] = np.sqrt((rates**2).sum(axis=2).mean(axis=1))
     slow = rms[known] < TURN.rate_max  # not to and fro with a small mean
     mean = bias_by_truth(gyro, quat, rate_hz).mean

@@ -1,11 +1,10 @@
 """Estimators scored on real logs: tables, a CSV and a page, `quadsim evaluate --logs`."""
 
-import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from estimators.evaluation.comparison import made_of
-from estimators.evaluation.logs import NO_ATTITUDE, default_names, score_logs, unscorable
+from estimators.evaluation.logs import KINDS, NO_ATTITUDE, default_names, prepared, score_logs
 from estimators.tuned import DEFAULT_DOMAIN
 from quadsim.logs import read_log, refused
 from quadsim.logs.log_report import UNSCORED
@@ -51,7 +50,7 @@ def evaluate_logs(
     refused(reports.values(), force)
     left_out, warnings, used = [], [], []
     for path, log in read.items():
-        report, reason = reports[path], unscorable(log, within_deg=within_deg)
+        report, reason = reports[path], prepared(log, within_deg).unscorable
         faults = [fault.sentence for fault in report.sensor_faults]  # which the verdict says
         warnings += [f"{path}: {warning}" for warning in report.warnings if warning not in faults]
         if reason in ("", NO_ATTITUDE):
@@ -85,7 +84,7 @@ def evaluate_logs(
         without = ", logs without a fault" if scores.faulty and scores.faulty != scores.headline else ""
         title = f"Inclination RMSE within ±{within_deg:g}°{without}"
         rows = [
-            [name, *("–" if math.isnan(value) else f"{value:.2f}" for value in scores.means(name))]
+            [name, *(f"{scores.mean(name, kind):.2f}".replace("nan", "–") for kind in KINDS)]
             for name in scores.estimators
         ]
         print_table(rows, ("estimator", "raw, °", "bias removed, °", "silenced, °"), title)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.appearance import looks
-from estimators.evaluation.logs import LEVEL, LogScores, ScoredLog
+from estimators.evaluation.logs import KINDS, LEVEL, LogScores, ScoredLog
 from estimators.evaluation.without_truth import Comparison
 from estimators.metrics import inclination_error
 from quadsim.dataset.stretches import stretches
@@ -68,9 +68,10 @@ def write_log_report(path: Path, scores: LogScores, warnings: Sequence[str] = ()
         warnings=warnings,
         logs=list(scores.logs),
         rows=[
-            {"estimator": name, "values": [*scores.means(name), *on_log.loc[name, scores.scored]]}
+            {"estimator": name, "values": [*means, *on_log.loc[name, scores.scored]]}
             for name in scores.estimators
             if name in on_log.index
+            for means in [[scores.mean(name, kind) for kind in KINDS]]
         ],
         faulty=scores.faulty,
         scored=scores.scored,

@@ -8,16 +8,15 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from estimators.analysis.raster import spikes_of
+from estimators.evaluation.beliefs import run_in_steps
 from estimators.evaluation.logs import ScoredLog
-from quadsim.estimator import AttitudeEstimator, Readings, accepted_sensors
+from quadsim.estimator import AttitudeEstimator, Readings
 from quadsim.pictures.timeline import Timeline, Trace, attitudes, axes_of
 from quadsim.rotation import euler_from_quat
 from quadsim.vehicle import load_vehicle
 
 Array = NDArray[np.float64]
 
-SIGMA_S = 0.1
-"""Time between the samples at which an estimator is asked for its standard deviation [s]."""
 DRAWN = "hummingbird"
 """The vehicle that is drawn where none is given."""
 SENSORS = {"rotor_vel": ("rotor speed", "rad/s"), "mag": ("magnetic field", "T")}
@@ -67,15 +66,9 @@ def sigma_of(est: AttitudeEstimator, readings: Readings) -> Array | None:
         readings: Of one recording (1, T, ·).
     """
     est.reset(1)
-    sequence, sigma = getattr(est, "sequence", None), attrgetter("roll_pitch_sigma")
-    if sequence is None or not hasattr(est, "roll_pitch_sigma") or np.shape(sigma(est)) != (1, 2):
+    sigma = attrgetter("roll_pitch_sigma")
+    if not (hasattr(est, "sequence") and hasattr(est, "roll_pitch_sigma")) or np.shape(sigma(est)) != (1, 2):
         return None
-    steps = readings.gyro.shape[1]
-    every = max(round(SIGMA_S * est.rate_hz), 1)
-    last = np.append(np.arange(every - 1, steps - 1, every), steps - 1)
-    found = []
-    for first, end in zip(np.append(0, last[:-1] + 1), last + 1, strict=True):
-        part = readings.map(lambda each, first=first, end=end: each[:, first:end])
-        part.give(sequence, accepted_sensors(sequence))
-        found.append(sigma(est)[0])
-    return np.stack([np.interp(np.arange(steps), last, each) for each in np.transpose(found)], axis=1)
+    last, found = zip(*((last, sigma(est)[0]) for last, _ in run_in_steps(est, readings)), strict=True)
+    samples = np.arange(readings.gyro.shape[1])
+    return np.stack([np.interp(samples, last, each) for each in np.transpose(found)], axis=1)

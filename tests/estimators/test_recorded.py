@@ -9,7 +9,7 @@ import pytest
 from sensor import noisy, readings
 
 from estimators import create
-from estimators.evaluation.logs import KNOWN, LEVEL, RAW, default_names, score_logs, unscorable
+from estimators.evaluation.logs import KNOWN, LEVEL, RAW, SILENCED, default_names, prepared, score_logs
 from estimators.evaluation.without_truth import compare, horizontal_force
 from quadsim.logs import read_log
 from quadsim.logs.mounting import estimate_mount
@@ -125,8 +125,8 @@ def test_no_filter_has_a_larger_error_with_the_estimated_mount(make_flights, bia
 
 def test_a_network_has_the_error_of_itself_silenced_beside_its_own(log):
     scores = score_logs([log], ["att-snn", "mahony"])
-    assert scores.silenced("att-snn") == pytest.approx(scores.mean(LEVEL, RAW))
-    assert np.isnan(scores.silenced("mahony"))
+    assert scores.mean("att-snn", SILENCED) == pytest.approx(scores.mean(LEVEL, RAW))
+    assert np.isnan(scores.mean("mahony", SILENCED))
 
 
 def test_estimators_that_need_a_vehicle_are_left_out_without_one():
@@ -208,8 +208,8 @@ def test_what_cannot_be_scored_is_said_before_anything_is_run(log, change, reaso
     blank = log.isel(time=slice(change.get("time"))).copy(deep=True)
     for name in change.keys() - {"time"}:
         blank[name][:] = change[name]
-    assert unscorable(blank) == reason
-    assert unscorable(blank, within_deg=60.0) == ("" if "--within" in reason else reason)
+    assert prepared(blank).unscorable == reason
+    assert prepared(blank, 60.0).unscorable == ("" if "--within" in reason else reason)
     if reason not in ("", "it has no attitude"):
         with pytest.raises(ValueError, match=re.escape(f"mine: nothing to score: {reason}")):
             score_logs([blank], ["mahony"], progress=lambda *_: pytest.fail("something was run"))

@@ -21,19 +21,7 @@ FORMATS = {
     6: ("GPS", "QBIHB", "TimeUS,I,GMS,GWk,Status"),
     7: ("ATT", "Qfff", "TimeUS,Roll,Pitch,Yaw"),
 }
-CODES = {
-    "Q": "Q",
-    "B": "B",
-    "f": "f",
-    "c": "h",
-    "C": "H",
-    "h": "h",
-    "H": "H",
-    "I": "I",
-    "n": "4s",
-    "N": "16s",
-    "Z": "64s",
-}
+CODES = {code: code for code in "QBfhHI"} | {"c": "h", "C": "H", "n": "4s", "N": "16s", "Z": "64s"}
 
 
 def message(kind, *values):
@@ -77,7 +65,7 @@ def write_bin(path, kinds=(1, 3, 4, 5, 7)):
 def test_an_ardupilot_log_is_turned_from_frd_and_ned(tmp_path, kinds, truth):
     log, report = reported(write_bin(tmp_path / "x.BIN", kinds))
     consistent(log)
-    assert (report.truth, report.truth_axes) == (truth, "body" if 3 in kinds else "imu")
+    assert (report.log.truth, report.log.truth_axes) == (truth, "body" if 3 in kinds else "imu")
     assert not [warning for warning in report.warnings if "damaged" in warning]
 
 
@@ -91,14 +79,10 @@ def test_an_ardupilot_log_is_what_pymavlink_reads(tmp_path):
     reader = pytest.importorskip("pymavlink.DFReader")
     log = read_recording(write_bin(tmp_path / "x.bin"))
     other, rows = reader.DFReader_binary(str(tmp_path / "x.bin")), []
+    names = [f"{name}{axis}" for name in ("Gyr", "Acc") for axis in "XYZ"]
     while (found := other.recv_match(type="IMU")) is not None:
         if found.I == 0:
-            rows.append(
-                [
-                    found.TimeUS * 1e-6,
-                    *(getattr(found, f"{name}{axis}") for name in ("Gyr", "Acc") for axis in "XYZ"),
-                ]
-            )
+            rows.append([found.TimeUS * 1e-6, *(getattr(found, name) for name in names)])
     mine = np.column_stack([log.time, swap_flu_frd(log.gyro), swap_flu_frd(log.accel)])
     np.testing.assert_array_equal(mine, rows)
 
@@ -159,8 +143,8 @@ def test_the_longest_log_of_a_betaflight_file_is_read_in_si_units(tmp_path, monk
     for name, wanted, step in (("gyro", gyro, np.radians(0.1)), ("accel", accel, 9.8 / 20480)):
         np.testing.assert_allclose(log[name][0], wanted, atol=0.6 * step)
     np.testing.assert_allclose(np.abs((log["quat"][0] * quat).sum(axis=-1)), 1.0, atol=1e-8)
-    assert report.truth == "imuQuaternion: the autopilot's own estimate, which is no independent truth"
-    assert "log 2 of 2, the longest" in report.notes
+    assert report.log.truth == "imuQuaternion: the autopilot's own estimate, which is no independent truth"
+    assert "log 2 of 2, the longest" in report.log.notes
     speeds = read_recording(path).sensors["rotor_vel"].values[3]
     np.testing.assert_allclose(speeds, np.array([50_000, 60_000]) / 6 * np.pi / 30)
 
@@ -186,11 +170,8 @@ def write_json_mcap(path, encoding="json"):
         writer = writer_of(stream)
         writer.start()
         channels = {}
-        for topic, kind in {
-            "/imu": "sensor_msgs/Imu",
-            "/body": "foxglove.PoseInFrame",
-            "/level": "foxglove.PoseInFrame",
-        }.items():
+        pose = "foxglove.PoseInFrame"
+        for topic, kind in {"/imu": "sensor_msgs/Imu", "/body": pose, "/level": pose}.items():
             schema = writer.register_schema(kind, "jsonschema" if encoding == "json" else encoding, b"{}")
             channels[topic] = writer.register_channel(topic, encoding, schema)
         for k, ns in enumerate((1e9 * (time + 1.0)).round().astype(int).tolist()):
@@ -198,18 +179,13 @@ def write_json_mcap(path, encoding="json"):
             xyz = [dict(zip("xyz", each[k].tolist(), strict=True)) for each in (gyro, accel)]
             turn = {"x": x, "y": y, "z": z, "w": w}
             none = {"x": 0.0, "y": 0.0, "z": 0.0}
+            pose = {"pose": {"position": none, "orientation": turn}}
+            level = {"pose": {"position": none, "orientation": none | {"w": 1.0}}}
+            read = dict(zip(("angular_velocity", "linear_acceleration"), xyz, strict=True))
             said = {
-                "/imu": {
-                    "header": {"stamp": stamp},
-                    "angular_velocity": xyz[0],
-                    "linear_acceleration": xyz[1],
-                },
-                "/body": {
-                    "timestamp": stamp,
-                    "frame_id": "world",
-                    "pose": {"position": none, "orientation": turn},
-                },
-                "/level": {"timestamp": stamp, "pose": {"position": none, "orientation": none | {"w": 1.0}}},
+                "/imu": {"header": {"stamp": stamp}} | read,
+                "/body": {"timestamp": stamp, "frame_id": "world"} | pose,
+                "/level": {"timestamp": stamp} | level,
             }
             for topic, content in said.items():
                 writer.add_message(channels[topic], ns + 7_000_000, json.dumps(content).encode(), ns)
@@ -220,12 +196,11 @@ def write_json_mcap(path, encoding="json"):
 def test_json_messages_of_an_mcap_file_are_read_by_their_own_stamps(tmp_path):
     log, report = reported(write_json_mcap(tmp_path / "x.mcap"))
     consistent(log)
-    assert report.truth == "/body: poses"
+    assert report.log.truth == "/body: poses"
     level, _ = reported(tmp_path / "x.mcap", truth="/level")
     np.testing.assert_allclose(level["quat"][0, :, 0], 1.0)
-    with pytest.raises(
-        ValueError, match=r'no topic "/odom" of the right kind; topics: /body \(foxglove.PoseInFrame\)'
-    ):
+    said = r'no topic "/odom" of the right kind; topics: /body \(foxglove.PoseInFrame\)'
+    with pytest.raises(ValueError, match=said):
         read_recording(tmp_path / "x.mcap", truth="/odom")
 
 

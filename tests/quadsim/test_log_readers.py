@@ -127,7 +127,7 @@ def test_a_usd_log_whose_sensors_are_events_of_their_own_is_read(tmp_path, rates
 
 def test_where_one_event_of_a_usd_log_is_missing_nothing_is_interpolated(tmp_path):
     data, report = reported(write_usd_events(tmp_path / "log00", (500.0, 500.0), gap=(1e6, 2e6)))
-    assert report.longest_gap_s == pytest.approx(1.0, abs=0.01)
+    assert report.counts["longest_gap_s"] == pytest.approx(1.0, abs=0.01)
     missing = np.isnan(data["accel"][0]).any(axis=1).to_numpy()
     assert missing.sum() == pytest.approx(200, abs=2)
 

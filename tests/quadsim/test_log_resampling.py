@@ -55,9 +55,9 @@ def test_everything_odd_is_counted_and_no_gap_is_bridged():
     kept[400:420] = kept[500:501] = False  # a gap, and a lost sample
     odd = Recording("x", "x", time[kept], gyro[kept], accel[kept])
     even, report = resample(odd)
-    assert (report.repeated, report.stamps_back, report.missing) == (1, 1, 1)
-    assert (report.gaps, report.lost) == (1, 3)
-    assert report.longest_gap_s == pytest.approx(0.105)
+    assert (report.counts["repeated"], report.counts["stamps_back"], report.counts["missing"]) == (1, 1, 1)
+    assert (report.counts["gaps"], report.counts["lost"]) == (1, 3)
+    assert report.counts["longest_gap_s"] == pytest.approx(0.105)
     assert any("the longest 0.105 s: left out of scores" in line for line in report.warnings)
     missing = np.flatnonzero(np.isnan(even["gyro"].to_numpy()[0]).any(axis=1))
     assert missing.tolist() == list(range(400, 420))
@@ -72,7 +72,7 @@ def test_irregular_stamps_are_evened_by_when_they_were_taken():
     log, report = resample(Recording("x", "x", time, signal, signal))
     expected = np.sin(2 * np.pi * 5 * (log["time"].to_numpy() + time[0]))
     assert np.abs(log["gyro"].to_numpy()[0, 20:-20, 0] - expected[20:-20]).max() < 2e-3
-    assert report.jitter_ms == pytest.approx(0.41, abs=0.05)
+    assert report.counts["jitter_ms"] == pytest.approx(0.41, abs=0.05)
 
 
 def test_one_wrong_stamp_costs_one_sample():
@@ -81,7 +81,7 @@ def test_one_wrong_stamp_costs_one_sample():
         stamps[700] += jump
         dataset, report = resample(turned(time=stamps))
         assert dataset.sizes["time"] == stamps.size
-        assert (report.gaps, report.lost) == (0, 1)
+        assert (report.counts["gaps"], report.counts["lost"]) == (0, 1)
         consistent(dataset.isel(time=slice(100, 600)))
 
 
@@ -94,7 +94,7 @@ def test_stamps_of_truth_and_sensors_that_go_back_are_left_out():
 
 
 def test_a_truth_of_another_time_is_no_truth():
-    assert report_of(turned(truth_time=turned().time + 1e5)).truth_share == 0.0
+    assert report_of(turned(truth_time=turned().time + 1e5)).counts["truth_share"] == 0.0
 
 
 def test_long_gaps_split_a_log_and_every_part_is_converted():
@@ -102,16 +102,10 @@ def test_long_gaps_split_a_log_and_every_part_is_converted():
     stamps = time + np.where(time >= 12.0, 1e6, 0.0)
     log = turned(time=stamps, truth_time=stamps)
     dataset, report = resample(log)
-    assert report.parts == 2
+    assert report.counts["parts"] == 2
     assert dataset.sizes["time"] == 2400
     assert "cut this log into 2 parts" in report.warnings[0]
     assert [part.time.size for part in split(log)] == [2400, 1600]
-
-
-def test_a_log_with_hardly_a_sample_is_refused():
-    pairs = np.repeat(np.arange(2000), 2) * 20.0 + np.tile([0.0, 0.005], 2000)
-    with pytest.raises(ValueError, match="most of the log is missing"):
-        resample(turned(time=pairs))
 
 
 def test_doublets_of_stamps_are_one_sample_each():
@@ -119,8 +113,12 @@ def test_doublets_of_stamps_are_one_sample_each():
     doublets = np.repeat(log.time, 2) + np.tile([0.0, 1e-9], 4000)
     gyro = np.repeat(log.gyro, 2, 0) + np.tile([0.0, 1.0], 4000)[:, None]
     dataset, report = resample(turned(time=doublets, gyro=gyro, accel=np.repeat(log.accel, 2, 0)))
-    assert report.stamps_back == 4000
+    assert report.counts["stamps_back"] == 4000
     consistent(dataset)
+    few = np.repeat(np.arange(4000), np.where(np.arange(4000) % 40, 1, 2))
+    stamps = log.time[few] + np.append(False, np.diff(few) == 0) * 1e-4
+    found = report_of(turned(time=stamps, gyro=log.gyro[few], accel=log.accel[few]))
+    assert found.counts["stamps_back"] == 100
 
 
 @pytest.mark.parametrize(("rate_hz", "jitter_ms"), [(200.0, 2.0), (1000.0, 2.0)])
@@ -128,21 +126,23 @@ def test_jittering_stamps_are_no_gaps(rate_hz, jitter_ms):
     time, gyro, accel, _ = turning(rate_hz, 20.0)
     stamps = time + np.random.default_rng(0).uniform(-1e-3, 1e-3, time.size) * jitter_ms
     log, report = resample(Recording("x", "x", stamps, gyro, accel))
-    assert report.gaps == 0
+    assert report.counts["gaps"] == 0
     assert np.isfinite(log["gyro"]).all()
     if rate_hz == 200.0:
-        assert (report.stamps_back, report.lost <= 0.01 * time.size) == (0, True)
+        assert (report.counts["stamps_back"], report.counts["lost"] <= 0.01 * time.size) == (0, True)
 
 
 def test_repeated_and_backward_stamps_are_left_out_and_rows_out_of_order_are_refused():
     log = turned()
     repeated = log.time.copy()
     repeated[1000:1010] = log.time[999]
-    assert report_of(turned(time=repeated)).stamps_back == 10
+    assert report_of(turned(time=repeated)).counts["stamps_back"] == 10
     absent = np.where(np.arange(4000) % 100 == 0, np.nan, log.time)
-    assert report_of(turned(time=absent)).missing == 40
+    assert report_of(turned(time=absent)).counts["missing"] == 40
     mixed = np.random.default_rng(0).permutation(log.time)
+    pairs = np.repeat(np.arange(2000), 2) * 20.0 + np.tile([0.0, 0.005], 2000)
     for stamps, said in (
+        (pairs, r"4000 samples at 200 Hz in \d+ s: most of the log is missing"),
         (mixed, r"\d+ % of the stamps go back: sort the rows by time"),
         (np.full(4000, np.nan), "0 usable samples; at least 8 are required"),
         (np.zeros(4000), "1 usable samples whose stamps go forward; at least 8 are required"),

@@ -30,7 +30,7 @@ def test_an_exported_flight_is_read_back(flight, tmp_path, format):
         pytest.importorskip("rosbags")
     log, report = reported(export(flight, tmp_path / "out", format) / "flight_000")
     found, wanted = log.isel(flight=0), open_dataset(flight).isel(flight=0)
-    assert (found.sizes["time"], report.gaps, report.truth_share) == (600, 0, 1.0)
+    assert (found.sizes["time"], report.counts["gaps"], report.counts["truth_share"]) == (600, 0, 1.0)
     for name in ("gyro", "accel", "position"):
         np.testing.assert_allclose(found[name], wanted[name], atol=1e-5)
     same = np.abs(np.sum(found["quat"].to_numpy() * wanted["quat"].to_numpy(), axis=-1))
@@ -78,7 +78,7 @@ def test_ros_bags_and_an_mcap_file_without_its_folder_are_read(tmp_path):
     for path in (tmp_path / "x.bag", alone):
         log, report = reported(path)
         consistent(log)
-        assert report.truth == "/vicon: poses"
+        assert report.log.truth == "/vicon: poses"
         with pytest.raises(ValueError, match=r'no topic "/imu1" of the right kind; topics: /imu0'):
             read_log(path, imu="/imu1")
 
@@ -106,10 +106,10 @@ def test_px4_logs_are_turned_from_frd_and_ned(tmp_path):
     log, report = reported(tmp_path / "x.ulg")
     consistent(log)
     np.testing.assert_allclose(roll_pitch_from_quat(log["quat"][0]), roll_pitch_from_quat(quat), atol=1e-5)
-    assert report.truth == "vehicle_mocap_odometry: motion capture"
+    assert report.log.truth == "vehicle_mocap_odometry: motion capture"
     own, report = reported(tmp_path / "x.ulg", truth="vehicle_attitude")
     assert np.abs(roll_pitch_from_quat(own["quat"][0])).max() < 1e-6
-    assert "no independent truth" in report.truth
+    assert "no independent truth" in report.log.truth
     assert "the truth hardly turns where the gyroscope does" in report.warnings
     assert any("frames disagree" in warning for warning in report.warnings)
 
@@ -120,8 +120,12 @@ def test_px4_rotor_speeds_and_magnetometer_are_read_where_they_are_logged(tmp_pa
     rpm = np.tile([2.0, 4000.0, -4100.0], (time[::20].size, 1))  # how many ESCs there are, and their speeds
     gauss = np.tile(swap_flu_frd(field) * 1e4, (time[::4].size, 1))
     escs = "float esc_count;float esc[0].esc_rpm;float esc[1].esc_rpm;"
-    sensor_mag = ("float x;float y;float z;", time[::4], gauss)
-    write_px4(tmp_path / "x.ulg", esc_status=(escs, time[::20], rpm), sensor_mag=sensor_mag)
+    topics = {
+        "esc_status": (escs, time[::20], rpm),
+        "sensor_mag": ("float x;float y;float z;", time[::4], 2.0 * gauss),  # not calibrated
+        "vehicle_magnetometer": ("float[3] magnetometer_ga;", time[::4], gauss),
+    }
+    write_px4(tmp_path / "x.ulg", **topics)
     log = read_log(tmp_path / "x.ulg")
     speeds = np.array([4000.0, 4100.0]) * np.pi / 30
     for name, wanted, least in (("rotor_vel", speeds, 0.9), ("mag", field, 0.0)):
@@ -193,6 +197,7 @@ def test_a_csv_is_read_by_its_column_map(tmp_path):
         ('"wz"', '"gz"', r'no column "gz"; '),
         ('"wz"', '"wy"', r"gyro\.columns: wx, wy, wy; one is there twice"),
         ("unit =", "units =", r'unknown key "time\.units"'),
+        ("z,y,-x", "z,y,x", "mount z,y,x: no rotation"),
     ):
         (tmp_path / "bad.toml").write_text(COLUMNS.replace(old, new))
         with pytest.raises(ValueError, match=fault):
@@ -248,7 +253,7 @@ def test_arrays_of_an_imu_without_attitude_are_a_log(tmp_path):
     np.savez(tmp_path / "x.npz", t=time, gyro=gyro, acc=accel)
     log, report = reported(tmp_path / "x.npz")
     np.testing.assert_allclose(log["gyro"][0], gyro, atol=1e-12)
-    assert report.truth == "none"
+    assert report.log.truth == "none"
     np.savez(tmp_path / "x.npz", gyro=gyro, acc=accel)
     with pytest.raises(ValueError, match="not a BROAD trial; it holds acc, gyro"):
         read_log(tmp_path / "x.npz")

@@ -7,6 +7,7 @@ values; messages of type 128, FMT, give the length, name, codes of the values an
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from ...rotation import quat_from_euler
@@ -21,12 +22,10 @@ CODES = {
 }
 """Code of a value to its type in NumPy; c, C, e and E are hundredths, and none of those is read here."""
 LAYOUT = np.dtype(
-    [("head", "3u1"), ("type", "u1"), ("length", "u1"), ("name", "S4"), ("codes", "S16"), ("names", "S64")]
+    [("head", "S3"), ("type", "u1"), ("length", "u1"), ("name", "S4"), ("codes", "S16"), ("names", "S64")]
 )
 """A message of type FMT."""
 WANTED = ("IMU", "SIM", "ATT", "MAG", "ESC")
-Messages = dict[str, NDArray[np.void]]
-"""Name of a type to its messages, (T,) of a structured type."""
 
 
 def read_dataflash(path: Path) -> Recording:
@@ -40,42 +39,52 @@ def read_dataflash(path: Path) -> Recording:
     Raises:
         ValueError: Not such a log, or no IMU in it.
     """
-    found, names, skipped = decode(path.read_bytes())
-    if "IMU" not in found or "TimeUS" not in (found["IMU"].dtype.names or ()):
-        raise ValueError(
-            f"{path}: no IMU with TimeUS in this log; messages: {', '.join(sorted(names)) or 'none'}"
-        )
-    imu = _first(found["IMU"])
-    notes = ["IMU from IMU, the first of them"]
-    if skipped:
-        notes.append(f"damaged: {skipped} bytes are of no message")
-    sensors = _sensors(found)
-    notes += [f"{name} from the log" for name in sensors]
+    found, skipped = _decoded(np.frombuffer(path.read_bytes(), np.uint8))
+    if "TimeUS" not in found.get("IMU", ()):
+        there = ", ".join(sorted(found)) or "none"
+        raise ValueError(f"{path}: no IMU with TimeUS in this log; messages: {there}")
+    imu, sensors = _first(found["IMU"]), {}
+    if {"Instance", "RPM"} <= {
+        *found.get("ESC", ())
+    }:  # rotors in the order of the ESCs, as the first is read
+        escs = [each for _, each in found["ESC"].groupby("Instance")]
+        time = _time(escs[0])
+        speeds = [np.interp(time, _time(each), each["RPM"] * (np.pi / 30)) for each in escs]
+        sensors["rotor_vel"] = Track(time, np.abs(np.stack(speeds, axis=1)))
+    if len(found.get("MAG", ())):
+        mag = _first(found["MAG"])
+        sensors["mag"] = Track(_time(mag), _columns(mag, "MagX", "MagY", "MagZ") * 1e-7)
+    damage = [f"damaged: {skipped} bytes are of no message"] if skipped else []
+    notes = ("IMU from IMU, the first of them", *damage, *(f"{name} from the log" for name in sensors))
     gyro, accel = (_columns(imu, *(f"{name}{axis}" for axis in "XYZ")) for name in ("Gyr", "Acc"))
-    log = Recording(path.name, "ArduPilot log", _time(imu), gyro, accel, notes=tuple(notes), sensors=sensors)
-    if "SIM" in found and "Q1" in (found["SIM"].dtype.names or ()):
+    log = Recording(path.name, "ArduPilot log", _time(imu), gyro, accel, notes=notes, sensors=sensors)
+    if "Q1" in found.get("SIM", ()):
         quat = _columns(found["SIM"], "Q1", "Q2", "Q3", "Q4")
         log = log.with_truth("SIM: the simulator's truth", _time(found["SIM"]), quat)
-    elif "ATT" in found:
+    elif len(found.get("ATT", ())):
         quat = quat_from_euler(*np.radians(_columns(found["ATT"], "Roll", "Pitch", "Yaw")).T)
         own = f"ATT: the autopilot's {OWN_ESTIMATE}"
         log = log.with_truth(own, _time(found["ATT"]), quat, own_axes=True)
     return from_frd(log)
 
 
-def decode(data: bytes) -> tuple[Messages, set[str], int]:
-    """Messages of the types that are wanted, names of all types that are there, and bytes of no message."""
-    content, messages, names = np.frombuffer(data, np.uint8), {}, set()
+def _decoded(content: NDArray[np.uint8]) -> tuple[dict[str, pd.DataFrame], int]:
+    """Messages by their type, of those that are not wanted without columns; and bytes of no message."""
+    found = {}
     starts, skipped = _starts(content)
     kinds = content[starts + 2]
     for made in _rows(content, starts[kinds == FMT], LAYOUT):
         begins, name = starts[kinds == made["type"]], made["name"].decode("latin-1")
-        if begins.size and made["type"] != FMT:
-            names.add(name)
-            layout = _layout(made["codes"].decode("latin-1"), made["names"].decode("latin-1").split(","))
-            if name in WANTED and layout is not None and layout.itemsize == made["length"]:
-                messages[name] = _rows(content, begins, layout)
-    return messages, names, skipped
+        if not begins.size or made["type"] == FMT:
+            continue
+        codes, names = made["codes"].decode("latin-1"), made["names"].decode("latin-1").split(",")
+        found[name] = pd.DataFrame()
+        if name in WANTED and len({*names}) == len(names) == len(codes) and {*codes} <= {*CODES}:
+            fields = [(each, f"<{CODES[code]}") for each, code in zip(names, codes, strict=True)]
+            layout = np.dtype([("head", "S3"), *fields])
+            if layout.itemsize == made["length"]:
+                found[name] = pd.DataFrame(_rows(content, begins, layout))
+    return found, skipped
 
 
 @njit(cache=True)
@@ -104,39 +113,15 @@ def _rows(
     return content[starts[:, None] + np.arange(layout.itemsize)].view(layout)[:, 0]
 
 
-def _layout(codes: str, names: list[str]) -> np.dtype[np.void] | None:
-    """The layout of a type's messages; None for an unknown code, or names that do not fit."""
-    if len(names) != len(codes) or len({*names}) < len(names) or not {*codes} <= {*CODES}:
-        return None
-    return np.dtype(
-        [("head", "3u1"), *((name, f"<{CODES[code]}") for name, code in zip(names, codes, strict=True))]
-    )
-
-
-def _first(messages: NDArray[np.void]) -> NDArray[np.void]:
+def _first(messages: pd.DataFrame) -> pd.DataFrame:
     """Messages of the first sensor of its kind: older logs name one in the type, such as IMU2."""
-    instance = next((name for name in ("I", "Instance") if name in (messages.dtype.names or ())), None)
-    return messages if instance is None else messages[messages[instance] == messages[instance].min()]
+    instance = next((name for name in ("I", "Instance") if name in messages), None)
+    return messages if instance is None else messages.loc[messages[instance] == messages[instance].min()]
 
 
-def _time(messages: NDArray[np.void]) -> Array:
-    return messages["TimeUS"] * 1e-6
+def _time(messages: pd.DataFrame) -> Array:
+    return messages["TimeUS"].to_numpy() * 1e-6
 
 
-def _columns(messages: NDArray[np.void], *names: str) -> Array:
-    return np.stack([messages[name].astype(np.float64) for name in names], axis=1)
-
-
-def _sensors(found: Messages) -> dict[str, Track]:
-    """Rotor speeds, in the order of the ESCs and on the stamps of the first, and magnetic field [mG]."""
-    sensors = {}
-    if "ESC" in found and {"Instance", "RPM"} <= {*(found["ESC"].dtype.names or ())}:
-        esc = [
-            found["ESC"][found["ESC"]["Instance"] == number] for number in np.unique(found["ESC"]["Instance"])
-        ]
-        speeds = [np.interp(_time(esc[0]), _time(each), each["RPM"] * (np.pi / 30)) for each in esc]
-        sensors["rotor_vel"] = Track(_time(esc[0]), np.abs(np.stack(speeds, axis=1)))
-    if "MAG" in found:
-        mag = _first(found["MAG"])
-        sensors["mag"] = Track(_time(mag), _columns(mag, "MagX", "MagY", "MagZ") * 1e-7)
-    return sensors
+def _columns(messages: pd.DataFrame, *names: str) -> Array:
+    return messages[[*names]].to_numpy(np.float64)

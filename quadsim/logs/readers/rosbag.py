@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +13,13 @@ from .mcap import Message, Opened, Topic, open_mcap
 
 IMU = "sensor_msgs/msg/Imu"
 POSES = {
-    "geometry_msgs/msg/PoseStamped": ("pose", "position", "orientation"),
-    "geometry_msgs/msg/PoseWithCovarianceStamped": ("pose.pose", "position", "orientation"),
-    "geometry_msgs/msg/TransformStamped": ("transform", "translation", "rotation"),
-    "nav_msgs/msg/Odometry": ("pose.pose", "position", "orientation"),
-    "foxglove.PoseInFrame": ("pose", "position", "orientation"),
+    "geometry_msgs/msg/PoseStamped": ("pose.position", "pose.orientation"),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": ("pose.pose.position", "pose.pose.orientation"),
+    "geometry_msgs/msg/TransformStamped": ("transform.translation", "transform.rotation"),
+    "nav_msgs/msg/Odometry": ("pose.pose.position", "pose.pose.orientation"),
+    "foxglove.PoseInFrame": ("pose.position", "pose.orientation"),
 }
-"""Messages that hold a pose, the most likely motion capture first, and where in them it is."""
+"""Messages that hold a pose, the most likely motion capture first, and its place in them."""
 
 
 def read_rosbag(path: Path, imu: str | None = None, truth: str | None = None) -> Recording:
@@ -49,34 +50,26 @@ def read_rosbag(path: Path, imu: str | None = None, truth: str | None = None) ->
                 continue
             if abs(q.w) + sum(map(abs, _xyz(q))) > 0.5:
                 own.append((stamp, q.w, *_xyz(q)))
-    time, gyro, accel = _columns(readings, 1, 3, 3)
-    kind, notes = "MCAP" if alone else "ROS bag", (f"IMU from {imu_topic.name}",)
-    log = Recording(path.name, kind, time[:, 0], gyro, accel, notes=notes)
+    rows, notes = np.array(readings, np.float64), (f"IMU from {imu_topic.name}",)
+    kind = "MCAP" if alone else "ROS bag"
+    log = Recording(path.name, kind, rows[:, 0], rows[:, 1:4], rows[:, 4:], notes=notes)
     if poses and pose_topic:
-        time, position, quat = _columns(poses, 1, 3, 4)
-        return log.with_truth(f"{pose_topic.name}: poses", time[:, 0], quat, position)
+        rows = np.array(poses, np.float64)
+        return log.with_truth(f"{pose_topic.name}: poses", rows[:, 0], rows[:, 4:], rows[:, 1:4])
     if own:
-        time, quat = _columns(own, 1, 4)
-        own_estimate = f"{imu_topic.name}: the sensor's {OWN_ESTIMATE}"
-        return log.with_truth(own_estimate, time[:, 0], quat, own_axes=True)
+        rows, estimate = np.array(own, np.float64), f"{imu_topic.name}: the sensor's {OWN_ESTIMATE}"
+        return log.with_truth(estimate, rows[:, 0], rows[:, 1:], own_axes=True)
     return log
 
 
 def _pose(message: Any, kind: str) -> tuple[float, ...]:
     """Position and quaternion (w, x, y, z)."""
-    place, position, orientation = POSES[kind]
-    for name in place.split("."):
-        message = getattr(message, name)
-    q = getattr(message, orientation)
-    return (*_xyz(getattr(message, position)), q.w, *_xyz(q))
+    position, q = (attrgetter(name)(message) for name in POSES[kind])
+    return (*_xyz(position), q.w, *_xyz(q))
 
 
 def _xyz(vector: Any) -> tuple[float, float, float]:
     return vector.x, vector.y, vector.z
-
-
-def _columns(rows: list[tuple[float, ...]], *widths: int) -> list[np.ndarray]:
-    return np.split(np.array(rows, np.float64), np.cumsum(widths)[:-1], axis=1)
 
 
 def _stamp(message: Any) -> float:

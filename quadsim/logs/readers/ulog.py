@@ -2,12 +2,11 @@
 
 import errno
 import io
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ..recording import OWN_ESTIMATE, Array, Recording, Track, from_frd
 
@@ -20,8 +19,13 @@ TRUTHS = {
     OWN: f"the autopilot's {OWN_ESTIMATE}",
 }
 """Topics that hold an attitude `q` (FRD body in NED world), the best first."""
-Topics = Mapping[str, Mapping[str, Any]]
-"""Topic to its fields."""
+Topic = Mapping[str, Any]
+"""Fields of a topic, (T,) each."""
+IMUS = {
+    "sensor_combined": ("IMU from sensor_combined", ("gyro_rad", "accelerometer_m_s2")),
+    "vehicle_imu": ("IMU from the increments of vehicle_imu", ("delta_angle", "delta_velocity")),
+}
+"""Topics of the IMU, the best first, to a note and their fields."""
 MAGNETOMETERS = {
     "vehicle_magnetometer": [f"magnetometer_ga[{k}]" for k in range(3)],
     "sensor_mag": ["x", "y", "z"],
@@ -56,55 +60,41 @@ def read_ulog(path: Path, truth: str | None = None) -> Recording:
 
     log = ULog(Bounded(path))
     topics = {each.name: each.data for each in reversed(log.data_list)}  # the first instance of each
-    if "sensor_combined" in topics:
-        source, note = "sensor_combined", "IMU from sensor_combined"
-        gyro = _columns(topics, source, "gyro_rad", 3)
-        accel = _columns(topics, source, "accelerometer_m_s2", 3)
-    elif "vehicle_imu" in topics:
-        source, note = "vehicle_imu", "IMU from the increments of vehicle_imu"
+    source = next((name for name in IMUS if name in topics), None)
+    if source is None:
+        raise ValueError(f"{path}: neither {' nor '.join(IMUS)}; topics: {', '.join(sorted(topics))}")
+    note, fields = IMUS[source]
+    gyro, accel = (_columns(topics[source], [f"{field}[{k}]" for k in range(3)]) for field in fields)
+    if source == "vehicle_imu":
         gyro, accel = (
-            _columns(topics, source, name, 3) / _seconds(topics[source][f"{name}_dt"])[:, None]
-            for name in ("delta_angle", "delta_velocity")
+            each / (_columns(topics[source], [f"{field}_dt"]) * 1e-6)
+            for each, field in zip((gyro, accel), fields, strict=True)
         )
-    else:
-        text = "neither sensor_combined nor vehicle_imu; topics: "
-        raise ValueError(f"{path}: {text}{', '.join(sorted(topics))}")
     lost = f"{len(log.dropouts)} dropouts of the logger, {sum(d.duration for d in log.dropouts)} ms"
-    sensors = _sensors(topics)
+    sensors, esc = {}, topics.get("esc_status", {})
+    escs = [f"esc[{k}].esc_rpm" for k in range(int(np.max(esc.get("esc_count", 0), initial=0)))]
+    if escs := [each for each in escs if each in esc]:  # in the order of PX4's outputs
+        sensors["rotor_vel"] = Track(_time(esc), np.abs(_columns(esc, escs)) * (np.pi / 30))
+    for topic, names in reversed(MAGNETOMETERS.items()):
+        if {*names} <= {*topics.get(topic, {})}:
+            sensors["mag"] = Track(_time(topics[topic]), _columns(topics[topic], names) * 1e-4)
     notes = (note, *([lost] if log.dropouts else []), *(f"{name} from the log" for name in sensors))
-    time = _seconds(topics[source]["timestamp"])
+    time = _time(topics[source])
     found = Recording(path.name, "PX4 ULog", time, gyro, accel, notes=notes, sensors=sensors)
     chosen = truth or next((name for name in TRUTHS if name in topics), None)
     if chosen is None:
         return from_frd(found)
     if chosen not in topics:
         raise ValueError(f'{path}: no topic "{chosen}"; topics: {", ".join(sorted(topics))}')
-    stamps = topics[chosen].get("timestamp_sample", topics[chosen]["timestamp"])
-    kind, quat = f"{chosen}: {TRUTHS.get(chosen, 'as asked for')}", _columns(topics, chosen, "q", 4)
-    return from_frd(found.with_truth(kind, _seconds(stamps), quat, own_axes=chosen == OWN))
+    stamps = "timestamp_sample" if "timestamp_sample" in topics[chosen] else "timestamp"
+    quat = _columns(topics[chosen], [f"q[{k}]" for k in range(4)])
+    kind = f"{chosen}: {TRUTHS.get(chosen, 'as asked for')}"
+    return from_frd(found.with_truth(kind, _time(topics[chosen], stamps), quat, own_axes=chosen == OWN))
 
 
-def _seconds(stamps: ArrayLike) -> Array:
-    return np.asarray(stamps, np.float64) * 1e-6
+def _time(topic: Topic, name: str = "timestamp") -> Array:
+    return np.asarray(topic[name], np.float64) * 1e-6
 
 
-def _columns(topics: Topics, topic: str, name: str, count: int) -> Array:
-    """A field of a topic with several values, (T, count)."""
-    return np.stack([np.asarray(topics[topic][f"{name}[{k}]"], np.float64) for k in range(count)], axis=1)
-
-
-def _sensors(topics: Topics) -> dict[str, Track]:
-    """Rotor speeds and magnetic field, where the log has them; the rotors in the order of PX4's outputs."""
-    found = {}
-    esc = topics.get("esc_status", {})
-    count = int(np.max(esc.get("esc_count", 0), initial=0))
-    rpm = [esc[field] for k in range(count) if (field := f"esc[{k}].esc_rpm") in esc]
-    if rpm:
-        speeds = np.abs(np.stack(rpm, axis=1).astype(np.float64)) * (np.pi / 30)
-        found["rotor_vel"] = Track(_seconds(esc["timestamp"]), speeds)
-    for topic, fields in MAGNETOMETERS.items():
-        data = topics.get(topic, {})
-        if "mag" not in found and all(field in data for field in fields):
-            gauss = np.stack([np.asarray(data[field], np.float64) for field in fields], axis=1)
-            found["mag"] = Track(_seconds(data["timestamp"]), gauss * 1e-4)
-    return found
+def _columns(topic: Topic, names: Sequence[str]) -> Array:
+    return np.stack([np.asarray(topic[name], np.float64) for name in names], axis=1)

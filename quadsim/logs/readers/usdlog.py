@@ -66,24 +66,21 @@ def read_usdlog(path: Path) -> Recording:
         time, longest_s = gyro.time[both], CLEAN.gap * float(np.median(np.diff(accel.time)))
         imu = Track(time, np.hstack([gyro.values[both], interpolated(time, *accel, longest_s)]))
         names = " and ".join(next(e.name for e in events if s[0] in e.variables) for s in (GYRO, ACCEL))
-        notes = (*notes, f"{names}: accelerometer brought to the stamps of the gyroscope")
+        notes += (f"{names}: accelerometer brought to the stamps of the gyroscope",)
     if imu is None:
         logged = ", ".join(sorted({name for event in events for name in event.variables})) or "nothing"
         raise ValueError(f"{path}: no event has all of {', '.join(GYRO + ACCEL)}; logged: {logged}")
     sensors = {}
     if (rotors := _track(events, ROTORS)) is not None:
         sensors["rotor_vel"] = Track(rotors.time, np.abs(rotors.values) * (np.pi / 30))
-        notes = (*notes, "rotor_vel from the log")
-    log = Recording(
-        path.name, "Crazyflie uSD log", imu.time, np.deg2rad(imu.values[:, :3]), imu.values[:, 3:] * 9.80665,
-        notes=notes, sensors=sensors,
-    )  # fmt: skip
+        notes += ("rotor_vel from the log",)
+    gyro, accel = np.deg2rad(imu.values[:, :3]), imu.values[:, 3:] * 9.80665
+    log = Recording(path.name, "Crazyflie uSD log", imu.time, gyro, accel, notes=notes, sensors=sensors)
     for group, kind in TRUTHS.items():
-        orientation = tuple(f"{group}.{name}" for name in ("qw", "qx", "qy", "qz"))
-        pose = _track(events, orientation + tuple(f"{group}.{name}" for name in "xyz"))
-        found = pose or _track(events, orientation)
+        names = tuple(f"{group}.{name}" for name in ("qw", "qx", "qy", "qz", "x", "y", "z"))
+        found = _track(events, names) or _track(events, names[:4])
         if found is not None:
-            position = None if pose is None else pose.values[:, 4:]
+            position = found.values[:, 4:] if found.values.shape[1] == 7 else None
             own = group == "stateEstimate"
             return log.with_truth(f"{group}: {kind}", found.time, found.values[:, :4], position, own)
     return log
@@ -148,7 +145,7 @@ def _text(data: bytes, at: int) -> tuple[str, int]:
 
 def _track(events: list[Event], names: tuple[str, ...]) -> Track | None:
     """Variables of the event that logged all of them most often."""
-    found = [event for event in events if set(names) <= set(event.variables)]
+    found = [event for event in events if {*names} <= {*event.variables}]
     if not found:
         return None
     best = max(found, key=lambda event: len(event.rows))
