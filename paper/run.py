@@ -14,10 +14,11 @@ from quadsim.dataset.figures import STYLE
 from quadsim.runs.files import save_figure, write_whole
 
 from .page import tables
-from .page.claims import CLAIMS, Judgement, judge
+from .page.claims import CLAIMS, Judgement, judge, operations
 from .page.paper_figures import FIGURES
 from .plan import Sizes, chosen, sizes_of, stages_of
 from .stages import NUMBERS, Progress, run_stages, with_inputs
+from .work.scores import FILTERS
 
 MARKS = {"holds": "✔ holds", "partly": "◐ partly", "does not hold": "✘ does not hold", "not judged": "–"}
 PAGE = jinja2.Environment(
@@ -108,6 +109,8 @@ def write_results(parts: Path, folder: Path, sizes: Sizes) -> list[Judgement]:
         s=sizes,
         n=numbers,
         tables=tables,
+        filters=FILTERS,
+        operations=operations,
         shown=shown,
         figures=FIGURES,
         judged=judged,
