@@ -97,8 +97,9 @@ def choice(results: Results, scenarios: Sequence[str]) -> Choice:
     measure = measure_of(results.estimators)
     flights = results.flights.query("scenario in @scenarios and estimator not in @results.unranked")
     safe = {*flights.query("cause == ''")["scenario"]}
-    planned = [flight for flight in results.planned if flight[0] in scenarios]
-    places = ranked(flights, [flight for flight in planned if flight[0] in safe] or planned, measure.key)
+    counted = [name for name in scenarios if name in safe] or scenarios
+    planned = [(name, seed) for name in counted for seed in range(results.settings.seeds)]
+    places = ranked(flights, planned, measure.key)
     best = places[:1]
     for place in places[1:]:
         behind = paired_difference(flights, place.name, places[0].name, measure.key)
