@@ -1,5 +1,6 @@
 """The bodies of the verbs `bench`, `report` and `demo`: they fly, print and write."""
 
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -7,8 +8,11 @@ from estimators.evaluation.comparison import evaluate
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
 from quadsim.flight.recipe import load_recipe
+from quadsim.runs.compiled import store
 from quadsim.runs.console import output, pool_of, progress_bar, say
 from quadsim.runs.files import alone
+from quadsim.runs.fingerprint import code_digest, fingerprint
+from quadsim.runs.pool import run_jobs
 from quadsim.runs.record import recorded
 
 from .bench.cell import FlightSettings
@@ -17,7 +21,6 @@ from .bench.experiment import load_experiment
 from .bench.results import Results, load_results
 from .bench.runner import Changes, bench
 from .bench.verdict import verdict
-from .compilation import compile_estimators
 from .report.evaluation import columns, recorded_section
 from .report.leaderboard import find_entries, flights_of, standing, write_leaderboard
 from .report.page import publish, write_report
@@ -141,6 +144,26 @@ def demo(out: Path, flights: int, seeds: int, seed: int, workers: int | None) ->
             files=["results.csv", "flights.parquet"],
         )
     print_verdict(page, results)
+
+
+def compile_estimators(names: Sequence[str], workers: int | None) -> None:
+    """Compile the simulator and estimators on all cores, or do nothing if the code has not changed since."""
+    done = store() / f"{fingerprint(code_digest('scenarios.bench.cell', 'estimators'), *names)[:12]}.compiled"
+    if done.is_file():
+        return
+    with progress_bar("compile", "estimators") as bar, tempfile.TemporaryDirectory() as folder:
+        bar(0, len(names), "simulator")
+        generate(load_recipe("hummingbird"), 2, 1.0, Path(folder) / "flights.zarr", workers=1)
+        jobs = {name: (name, Path(folder)) for name in names}
+        for k, (name, _) in enumerate(run_jobs(use, jobs, workers), 1):
+            bar(k, len(names), name)
+    done.touch()
+
+
+def use(name: str, folder: Path) -> None:
+    """Run an estimator over a short dataset, and fly vehicles on it."""
+    evaluate(open_dataset(folder / "flights.zarr"), [name])
+    bench(["hover"], [name], folder / name, FlightSettings(2), {"duration_s": 0.1}, workers=1)
 
 
 def print_verdict(page: Path, results: Results) -> None:
