@@ -165,7 +165,10 @@ def responses(slow=(0.9, 0.2), fast=(0.2, 0.9)):
 
 def rates(*of_each):
     near = {100 * 2**k: [error, error + 0.1, error - 0.1] for k, error in enumerate(of_each)}
-    return {f"score-rate-{hz}": {"sequences": {"att-snn": {"unknown": each}}} for hz, each in near.items()}
+    return {
+        f"score-rate-{hz}": {"sequences": {"att-snn": {"unknown": each}}}
+        for hz, each in reversed(near.items())
+    }
 
 
 def minutes(*of_each):
