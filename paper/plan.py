@@ -1,7 +1,7 @@
 """The stages, what each takes from, and which of them a table or figure needs."""
 
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +17,16 @@ PRESETS: dict[str, dict[str, Any]] = tomllib.loads(Path(__file__).with_name("siz
 Sizes = Mapping[str, Any]
 """Those of a preset, with its name as "preset" and the "seed" of everything random."""
 
-SIM, REAL = "fly-sim", "fly-real"
-TEST = ("fly-test-sim", "fly-test-real")
 SNN, FIXED, CHIP, RNN = "net-snn", "net-weights", "net-chip", "net-rnn"
 """By the paper's recipe: Att-SNN in floats, with fixed time constants, on the chip, and Att-RNN."""
-CROSS = {"net-only-sim": SIM, "net-only-real": REAL}
+CROSS = ("net-only-sim", "net-only-real")
+"""Att-SNN trained on one domain."""
+HOVER = {"kind": "hover", "position": [0.0, 0.0, 20.0]}
 CRUISE = {"kind": "waypoints", "points": [[20.0 * k, 0.0, 20.0] for k in range(11)], "speed": 5.0}
 """A flight that has a constant velocity for long."""
+IN_LOOP = ("complementary", "mahony", "ekf")
+OURS = ("estimators",)
+"""Estimators are made by name: all of their code counts."""
 
 ITEMS = {
     "table1": ("score-folds",),
@@ -37,8 +40,8 @@ ITEMS = {
     "fig9": ("latencies", "inside"),
     "operations": ("inside",),
     "loop": ("loop",),
-    "rate": ("compare-rate-", "rate-"),
-    "minutes": ("compare-minutes", "minutes-"),
+    "rate": ("score-rate-", "rate-"),
+    "minutes": ("score-minutes", "minutes-"),
 }
 """What `--only` chooses from, and how the names begin of the stages whose numbers it shows."""
 
@@ -76,126 +79,84 @@ def sizes_of(preset: str, seed: int = 0) -> dict[str, Any]:
 
 
 def stages_of(sizes: Sizes) -> tuple[dict[str, Stage], dict[str, list[str]]]:
-    """Every stage by name, and the stages whose numbers each item shows."""
-    groups = (_flights, _filters, _networks, _scores, _rates, _minutes)
-    stages = {stage.name: stage for group in groups for stage in group(sizes)}
+    """Every stage by name, inputs first, and the stages whose numbers each item shows."""
+    stages = {stage.name: stage for stage in _stages(sizes, sizes["seed"])}
     return stages, {
         item: [name for name in stages if name.startswith(prefixes)] for item, prefixes in ITEMS.items()
     }
 
 
-def _fly(name: str, count: int, duration_s: float, seed: int, domain: str = "sim", **more: Any) -> Stage:
-    settings = {"domain": domain, "flights": count, "duration_s": duration_s, "seed": seed}
-    return Stage(name, domains.fly, settings | more)
-
-
-def _flights(s: Sizes) -> list[Stage]:
-    hover = {"kind": "hover", "position": [0.0, 0.0, 20.0]}
-    first = 1000 * s["seed"]
-    return [
-        _fly(SIM, s["sim_flights"], s["flight_s"], first + 1),
-        _fly(REAL, s["real_flights"], s["flight_s"], first + 2, "real"),
-        _fly(TEST[0], s["test_flights"], s["test_s"], first + 5),
-        _fly(TEST[1], s["test_flights"], s["test_s"], first + 6, "real"),
-        _fly("fly-hover", 8, min(20.0, s["test_s"]), first + 7, trajectory=hover),
-        _fly("fly-cruise", 8, 60.0, first + 8, trajectory=CRUISE),
-        Stage("distributions", domains.distributions, inputs=(SIM, REAL)),
+def _stages(s: Sizes, seed: int) -> Iterator[Stage]:
+    first = 1000 * seed
+    domain = [
+        _fly("sim", s["sim_flights"], s["flight_s"], first + 1),
+        _fly("real", s["real_flights"], s["flight_s"], first + 2, domain="real"),
     ]
+    test = [
+        _fly("test-sim", s["test_flights"], s["test_s"], first + 5),
+        _fly("test-real", s["test_flights"], s["test_s"], first + 6, domain="real"),
+    ]
+    hover = _fly("hover", 8, min(20.0, s["test_s"]), first + 7, trajectory=HOVER)
+    cruise = _fly("cruise", 8, 60.0, first + 8, trajectory=CRUISE)
+    yield from (*domain, *test, hover, cruise)
+    yield Stage("distributions", domains.distributions, {"flights": domain})
 
-
-def _filters(s: Sizes) -> list[Stage]:
-    swarm = {"particles": s["particles"], "iterations": s["iterations"], "seed": s["seed"]}
-    return [
-        Stage(f"tune-{name}", filters.tune, {"name": name} | swarm, (SIM, REAL), packages=("estimators",))
+    swarm = {"particles": s["particles"], "iterations": s["iterations"], "seed": seed}
+    tuned = {
+        name: Stage(f"tune-{name}", filters.tune, {"name": name, "flights": domain} | swarm, packages=OURS)
         for name in FILTERS
-    ]
+    }
+    long, short = PAPER | s["snn"], PAPER | s["fold"]
+    rnn, snn = _train(RNN, domain, seed, GRU | s["rnn"]), _train(SNN, domain, seed, long)
+    chip = _train(CHIP, domain, seed, ON_CHIP | s["snn"])
+    fixed = _train(FIXED, domain, seed, short | {"fixed_taus": True})
+    folds = [_train(f"net-fold-{k}", domain, seed + k, short) for k in range(1, s["folds"])]
+    only = [_train(name, [each], seed, short) for name, each in zip(CROSS, domain, strict=True)]
+    yield from (*tuned.values(), rnn, snn, chip, fixed, *folds, *only)
+
+    looped = {"att-snn": ("att-snn", snn), "att-snn, chip": ("att-snn-loihi", chip)}
+    every = {"filters": tuned, "networks": looped | {"att-rnn": ("att-rnn", rnn)}, "seed": seed}
+    loop = {"seeds": s["loop_seeds"], "duration_s": s["loop_s"], "seed": seed, "networks": looped}
+    loop |= {"filters": {name: tuned[name] for name in IN_LOOP}}
+    yield _ours("score-folds", scores.folds, domains=domain, mixed=[snn, *folds], only=only)
+    for each in (*domain, *test):
+        yield _ours(f"score-{each.name}", scores.score, flights=each, **every)
+    yield _ours("recover", scores.recover, flying=test, hover=hover, **every)
+    yield _ours("inside", inside.look, flights=test[0], network=chip, twin=rnn)
+    yield _ours("manipulate", inside.manipulate, cruise=cruise, test=test[0], networks=[snn, chip])
+    yield Stage("latencies", scores.latencies, {"rounds": s["latency_rounds"]}, alone=True, packages=OURS)
+    yield Stage("loop", scores.close_loop, loop, packages=(*OURS, "scenarios"))
+
+    for rate in s["rates_hz"]:  # the same network on as many hours of the same manoeuvres
+        data = _fly(f"rate-{rate:g}", s["rate_flights"], s["flight_s"], first + 11, rate_hz=rate)
+        unseen = _fly(f"rate-test-{rate:g}", s["test_flights"], s["test_s"], first + 12, rate_hz=rate)
+        network = _train(f"rate-{rate:g}", [data], seed, PAPER | s["rate"])
+        yield from (data, unseen, network)
+        made = {"filters": {}, "networks": {"att-snn": ("att-snn", network)}, "seed": seed}
+        yield _ours(f"score-rate-{rate:g}", scores.score, flights=unseen, **made)
+
+    choose = _fly("minutes-validation", s["minutes_validation"], s["flight_s"], first + 14)
+    yield choose
+    made = {}
+    for n in s["minutes"]:  # the same network on the first so many minutes of the same flights
+        data = _fly(f"minutes-{n}", n, 60.0, first + 13)
+        network = _train(f"minutes-{n}", [data], seed, PAPER | s["study"], [choose])
+        yield from (data, network)
+        made[str(n)] = ("att-snn", network)
+    yield _ours("score-minutes", scores.score, flights=test[0], filters={}, networks=made, seed=seed)
+
+
+def _fly(name: str, flights: int, duration_s: float, seed: int, domain: str = "sim", **more: Any) -> Stage:
+    settings = {"domain": domain, "flights": flights, "duration_s": duration_s, "seed": seed}
+    return Stage(f"fly-{name}", domains.fly, settings | more)
 
 
 def _train(
-    name: str,
-    recipe: dict[str, Any],
-    seed: int,
-    data: Sequence[str] = (SIM, REAL),
-    validation: Sequence[str] = (),
+    name: str, data: Sequence[Stage], seed: int, recipe: dict[str, Any], validation: Sequence[Stage] = ()
 ) -> Stage:
-    settings = {"data": list(data), "validation": list(validation), "seed": seed} | recipe
-    return Stage(name, trainings.train, settings, (*data, *validation))
+    return Stage(name, trainings.train, {"data": data, "validation": validation, "seed": seed} | recipe)
 
 
-def _networks(s: Sizes) -> list[Stage]:
-    long, short = PAPER | s["snn"], PAPER | s["fold"]
-    return [
-        _train(RNN, GRU | s["rnn"], s["seed"]),
-        _train(SNN, long, s["seed"]),
-        _train(CHIP, ON_CHIP | s["snn"], s["seed"]),
-        _train(FIXED, short | {"fixed_taus": True}, s["seed"]),
-        *(_train(f"net-fold-{k}", short, s["seed"] + k) for k in range(1, s["folds"])),
-        *(_train(name, short, s["seed"], [domain]) for name, domain in CROSS.items()),
-    ]
-
-
-def _score(
-    name: str,
-    on: Sequence[str],
-    tuned: Sequence[str],
-    trained: scores.Networks,
-    make: Any = scores.compare,
-    **settings: Any,
-) -> Stage:
-    """Run filters, as tuned, and networks on the flights of some stages."""
-    needed = [stage for _, stage in trained.values()]
-    inputs = (*on, *(f"tune-{each}" for each in tuned), *needed)
-    settings |= {"flights": list(on), "filters": list(tuned), "networks": trained}
-    return Stage(name, make, settings, inputs, packages=("estimators",))
-
-
-def _scores(s: Sizes) -> list[Stage]:
-    looped = {"att-snn": ("att-snn", SNN), "att-snn, chip": ("att-snn-loihi", CHIP)}
-    made = looped | {"att-rnn": ("att-rnn", RNN)}
-    in_loop = ["complementary", "mahony", "ekf"]
-    loop = {"seeds": s["loop_seeds"], "duration_s": s["loop_s"], "filters": in_loop, "networks": looped}
-    folds = [SNN, *(f"net-fold-{k}" for k in range(1, s["folds"]))]
-    tuned = (*(f"tune-{name}" for name in in_loop), SNN, CHIP)
-    rounds = {"rounds": s["latency_rounds"]}
-    ours, all_of_ours = ("estimators",), ("estimators", "scenarios")
-    mixed = {"mixed": folds, "only": CROSS}
-    return [
-        Stage("score-folds", scores.folds, mixed, (SIM, REAL, *folds, *CROSS), packages=ours),
-        *(
-            _score(f"score-{each}", [each], FILTERS, made, scores.score, seed=s["seed"])
-            for each in (SIM, REAL, *TEST)
-        ),
-        _score("recover", [*TEST, "fly-hover"], FILTERS, made, scores.recover, seed=s["seed"]),
-        Stage("inside", inside.look, inputs=(TEST[0], CHIP, RNN), packages=ours),
-        Stage("manipulate", inside.manipulate, inputs=("fly-cruise", TEST[0], SNN, CHIP), packages=ours),
-        Stage("latencies", scores.latencies, rounds, alone=True, packages=ours),
-        Stage("loop", scores.close_loop, loop | {"seed": s["seed"]}, tuned, packages=all_of_ours),
-    ]
-
-
-def _rates(s: Sizes) -> list[Stage]:
-    """The same network trained at every sample rate on as many hours of the same manoeuvres."""
-    stages, first = [], 1000 * s["seed"]
-    for rate in s["rates_hz"]:
-        train, test = f"fly-rate-{rate:g}", f"fly-rate-test-{rate:g}"
-        at: dict[str, Any] = {"rate_hz": rate}
-        made = {"att-snn": ("att-snn", f"rate-{rate:g}")}
-        stages += [
-            _fly(train, s["rate_flights"], s["flight_s"], first + 11, **at),
-            _fly(test, s["test_flights"], s["test_s"], first + 12, **at),
-            _train(f"rate-{rate:g}", PAPER | s["rate"], s["seed"], [train]),
-            _score(f"compare-rate-{rate:g}", [test], (), made, **at),
-        ]
-    return stages
-
-
-def _minutes(s: Sizes) -> list[Stage]:
-    """The same network trained on the first so many minutes of the same flights."""
-    choose, first = "fly-minutes-validation", 1000 * s["seed"]
-    stages = [_fly(choose, s["minutes_validation"], s["flight_s"], first + 14)]
-    for n in s["minutes"]:
-        stages.append(_fly(f"fly-minutes-{n}", n, 60.0, first + 13))
-        recipe = PAPER | s["study"]
-        stages.append(_train(f"minutes-{n}", recipe, s["seed"], [f"fly-minutes-{n}"], [choose]))
-    made = {str(n): ("att-snn", f"minutes-{n}") for n in s["minutes"]}
-    return [*stages, _score("compare-minutes", TEST[:1], (), made)]
+def _ours(name: str, make: Any, **arguments: Any) -> Stage:
+    """A stage that makes estimators."""
+    return Stage(name, make, arguments, packages=OURS)

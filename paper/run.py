@@ -14,10 +14,11 @@ from quadsim.dataset.figures import STYLE
 from quadsim.runs.files import save_figure, write_whole
 
 from .page import tables
-from .page.claims import CLAIMS, Judgement, judge
+from .page.claims import CLAIMS, Judgement, judge, operations
 from .page.paper_figures import FIGURES
 from .plan import Sizes, chosen, sizes_of, stages_of
-from .stages import NUMBERS, Progress, fingerprints, is_finished, record_of, run_stages, with_inputs
+from .stages import NUMBERS, Progress, run_stages, with_inputs
+from .work.scores import FILTERS
 
 MARKS = {"holds": "✔ holds", "partly": "◐ partly", "does not hold": "✘ does not hold", "not judged": "–"}
 PAGE = jinja2.Environment(
@@ -91,8 +92,7 @@ def write_results(parts: Path, folder: Path, sizes: Sizes) -> list[Judgement]:
         sizes: Of the run.
     """
     stages, shows = stages_of(sizes)
-    prints = fingerprints(stages.values())
-    done = [name for name in stages if is_finished(parts / name, prints[name])]
+    done = {name: stage for name, stage in stages.items() if stage.is_finished(parts)}
     files = {name: parts / name / NUMBERS for name in done}
     numbers = {name: json.loads(file.read_text("utf-8")) for name, file in files.items() if file.exists()}
     shown = [item for item, names in shows.items() if numbers.keys() >= set(names)]
@@ -109,12 +109,14 @@ def write_results(parts: Path, folder: Path, sizes: Sizes) -> list[Judgement]:
         s=sizes,
         n=numbers,
         tables=tables,
+        filters=FILTERS,
+        operations=operations,
         shown=shown,
         figures=FIGURES,
         judged=judged,
         marks=MARKS,
         elsewhere=CLAIMS["elsewhere"],
-        minutes=sum(record_of(parts / name, prints[name])["seconds"] for name in done) / 60,
+        minutes=sum(stage.record(parts)["seconds"] for stage in done.values()) / 60,
     )
     write_whole(folder / "paper.md", re.sub(r"\n{3,}", "\n\n", page).rstrip() + "\n")
     return judged

@@ -1,8 +1,9 @@
 """Stages: parts of the work, each stored in a folder of its own.
 
-A stage is a function with settings and inputs. Its fingerprint covers its code, its settings and its inputs:
-while that stays the same, a finished stage is read back and a killed one continues in its folder (trainings
-from their checkpoints); another fingerprint begins an empty folder.
+A stage is a function with arguments, some of which are other stages: the function gets their folders. Its
+fingerprint covers its code, its arguments and these stages: while that stays the same, a finished stage is
+read back and a killed one continues in its folder (trainings from their checkpoints); another fingerprint
+begins an empty folder.
 """
 
 import json
@@ -10,6 +11,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -20,29 +22,61 @@ from quadsim.runs.pool import run_jobs
 RECORD, NUMBERS = "stage.json", "numbers.json"
 FLIGHTS, WEIGHTS, TUNING = "flights.zarr", "best.safetensors", "tuned.toml"
 
-Inputs = Mapping[str, Path]
-"""Stage to its folder."""
 Numbers = dict[str, Any]
 """What a stage measured, as JSON knows it."""
 Progress = Callable[[int, int, str], None]
 """progress(stages done, all stages, the last of them)."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Stage:
     """A part of the work."""
 
     name: str
     make: Callable[..., Numbers | None]
-    """Called as make(folder, inputs, **settings); at module level. What it returns is stored in `NUMBERS`."""
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    """Everything else that its files depend on, as JSON knows it."""
-    inputs: tuple[str, ...] = ()
-    """Stages whose files it reads."""
+    """Called as make(folder, **arguments); at module level. What it returns is stored in `NUMBERS`."""
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+    """Everything else that its files depend on, as JSON knows it, and the stages whose files it reads."""
     alone: bool = False
     """Whether nothing else may run beside it (what it measures is time)."""
     packages: tuple[str, ...] = ()
     """Packages that its code takes modules from by name: all of them count."""
+
+    @cached_property
+    def inputs(self) -> list["Stage"]:
+        """The stages among its arguments."""
+        found: list[Stage] = []
+        _with_stages(self.arguments, found.append)
+        return found
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Digest of its code and arguments."""
+        code = self.make.__qualname__, code_digest(self.make.__module__, *self.packages)
+        arguments = _with_stages(self.arguments, lambda stage: stage.fingerprint)
+        return fingerprint(self.name, *code, arguments)[:16]
+
+    def record(self, out: Path) -> dict[str, Any]:
+        """Its record below a folder, if it was begun there, with "seconds" if it is finished; else empty."""
+        try:
+            record = json.loads((out / self.name / RECORD).read_text(encoding="utf-8"))
+        except (FileNotFoundError, ValueError):
+            return {}
+        return record if record.get("fingerprint") == self.fingerprint else {}
+
+    def is_finished(self, out: Path) -> bool:
+        """Whether it was finished below a folder and all that it left there is still there."""
+        record = self.record(out)
+        return "seconds" in record and all((out / self.name / file).exists() for file in record["files"])
+
+
+def _with_stages(value: Any, replacement: Callable[[Stage], Any]) -> Any:
+    """Nested arguments with something in place of every stage."""
+    if isinstance(value, Stage):
+        return replacement(value)
+    if isinstance(value, Mapping):
+        return {key: _with_stages(each, replacement) for key, each in value.items()}
+    return [_with_stages(each, replacement) for each in value] if isinstance(value, list | tuple) else value
 
 
 def with_inputs(stages: Mapping[str, Stage], wanted: Iterable[str]) -> list[Stage]:
@@ -50,33 +84,8 @@ def with_inputs(stages: Mapping[str, Stage], wanted: Iterable[str]) -> list[Stag
     needed = set(wanted)
     for name in reversed(list(stages)):
         if name in needed:
-            needed.update(stages[name].inputs)
+            needed.update(each.name for each in stages[name].inputs)
     return [stage for name, stage in stages.items() if name in needed]
-
-
-def fingerprints(stages: Iterable[Stage]) -> dict[str, str]:
-    """Of every stage; inputs come before what needs them."""
-    prints: dict[str, str] = {}
-    for stage in stages:
-        code = stage.make.__qualname__, code_digest(stage.make.__module__, *stage.packages)
-        inputs = [prints[name] for name in stage.inputs]
-        prints[stage.name] = fingerprint(stage.name, *code, dict(stage.settings), inputs)[:16]
-    return prints
-
-
-def record_of(folder: Path, fingerprint: str) -> dict[str, Any]:
-    """The record of a stage that was begun in a folder, with "seconds" if it is finished; else empty."""
-    try:
-        record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
-    except (FileNotFoundError, ValueError):
-        return {}
-    return record if record.get("fingerprint") == fingerprint else {}
-
-
-def is_finished(folder: Path, fingerprint: str) -> bool:
-    """Whether a stage was finished in a folder and all that it left there is still there."""
-    record = record_of(folder, fingerprint)
-    return "seconds" in record and all((folder / name).exists() for name in record["files"])
 
 
 def run_stages(
@@ -99,31 +108,27 @@ def run_stages(
     Raises:
         ChildProcessError: A worker process died; finished stages stay.
     """
-    prints = fingerprints(stages)
-    jobs = {
-        stage.name: (stage, out / stage.name, {name: out / name for name in stage.inputs}, prints[stage.name])
-        for stage in stages
-        if not is_finished(out / stage.name, prints[stage.name])
-    }
-    done = set(prints) - set(jobs)
-    progress(len(done), len(stages), "")
-    while waiting := [stage for stage in stages if stage.name not in done]:
-        ready = [stage for stage in waiting if done.issuperset(stage.inputs)]
-        now = [stage.name for stage in ready if not stage.alone] or [ready[0].name]
-        for name, _ in run_jobs(make_stage, {name: jobs[name] for name in now}, workers):
-            done.add(name)
-            progress(len(done), len(stages), name)
-    return list(jobs)
+    missing = [stage for stage in stages if not stage.is_finished(out)]
+    waiting = list(missing)
+    progress(len(stages) - len(waiting), len(stages), "")
+    while waiting:
+        ready = [stage for stage in waiting if not {*stage.inputs} & {*waiting}]
+        now = [stage for stage in ready if not stage.alone] or ready[:1]
+        for stage, _ in run_jobs(make_stage, {stage: (stage, out) for stage in now}, workers):
+            waiting.remove(stage)
+            progress(len(stages) - len(waiting), len(stages), stage.name)
+    return [stage.name for stage in missing]
 
 
-def make_stage(stage: Stage, folder: Path, inputs: Inputs, fingerprint: str) -> None:
+def make_stage(stage: Stage, out: Path) -> None:
     """Make one stage; its folder is emptied if it holds another one."""
-    if not record_of(folder, fingerprint):
+    folder = out / stage.name
+    if not stage.record(out):
         shutil.rmtree(folder, ignore_errors=True)
-    record: dict[str, Any] = {"fingerprint": fingerprint}
+    record: dict[str, Any] = {"fingerprint": stage.fingerprint}
     write_whole(folder / RECORD, json.dumps(record))
     began = time.monotonic()
-    numbers = stage.make(folder, inputs, **stage.settings)
+    numbers = stage.make(folder, **_with_stages(stage.arguments, lambda each: out / each.name))
     if numbers is not None:
         write_whole(folder / NUMBERS, json.dumps(numbers))
     record["files"] = sorted(path.name for path in folder.iterdir() if path.name != RECORD)

@@ -255,15 +255,11 @@ def formulas(numbers: Numbers, limit: float) -> Judged:
 
 def rates(numbers: Numbers, limit: float) -> Judged:
     """Error at the highest sample rate over that at the lowest."""
-    prefix = "compare-rate-"
-    found = {
-        float(name.removeprefix(prefix)): each["errors"]["att-snn"]
-        for name, each in numbers.items()
-        if name.startswith(prefix)
-    }
-    if not found:
-        raise KeyError("rate")
-    by_hz = dict(sorted(found.items()))
+    prefix = "score-rate-"
+    stages = sorted(float(name.removeprefix(prefix)) for name in numbers if name.startswith(prefix))
+    if not stages:
+        raise KeyError(prefix)
+    by_hz = {hz: errors(numbers, "att-snn", stage=f"{prefix}{hz:g}") for hz in stages}
     over = ratio(by_hz[max(by_hz)], by_hz[min(by_hz)], paired=True)
     means = [float(np.mean(each)) for each in by_hz.values()]
     falls = all(b <= 1.02 * a for a, b in pairwise(means))
@@ -274,7 +270,7 @@ def rates(numbers: Numbers, limit: float) -> Judged:
 
 def minutes(numbers: Numbers, limit: float) -> Judged:
     """Error after 10 and 30 minutes of flight over that after the most."""
-    found = {int(n): each for n, each in numbers["compare-minutes"]["errors"].items()}
+    found = {int(n): each["unknown"] for n, each in numbers["score-minutes"]["sequences"].items()}
     most = max(found)
     over = {n: ratio(found[n], found[most], paired=True) for n in (10, 30) if n in found and n < most}
     enough = {n for n, each in over.items() if each.high < limit}

@@ -5,8 +5,8 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 
 from ..plan import CHIP, CROSS, FIXED, RNN, SNN
-from ..work.scores import FILTERS, SIX
-from .claims import METHODS, NETWORKS, QUOTED, TITLES, Numbers, errors, median_time, operations, scatter
+from ..work.scores import SIX
+from .claims import METHODS, NETWORKS, QUOTED, TITLES, Numbers, errors, median_time, scatter
 
 CURVES = {
     SNN: "Att-SNN",
@@ -32,7 +32,7 @@ def markdown_table(header: str, rows: Iterable[Sequence[object]]) -> str:
     return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines)
 
 
-def _named(name: str) -> str:
+def named(name: str) -> str:
     """A method, in italics where it is none of the paper's."""
     return TITLES.get(name, name) if name in SIX else f"*{OWN.get(name, name)}*"
 
@@ -76,7 +76,7 @@ def methods(numbers: Numbers) -> str:
             theirs = [" / ".join(f"{x:.2f}" for x in each) for each in quoted] if quoted else ["–", "–"]
             test, home = test + _silenced(numbers, name, "real"), f"{np.mean(on['test-sim']):.2f}"
             home += _silenced(numbers, name, "sim")
-            rows.append([_named(name), start, training, theirs[0], test, theirs[1], home])
+            rows.append([named(name), start, training, theirs[0], test, theirs[1], home])
     header = (
         "method | start | training | the paper, training | test | the paper, test | test, Hummingbird, mean"
     )
@@ -87,16 +87,6 @@ def _silenced(numbers: Numbers, name: str, domain: str) -> str:
     """Error with output weights of zero, which is that of a level estimate whatever the network."""
     level = next(iter(numbers[f"score-fly-test-{domain}"]["silenced_deg"].values()))
     return f" (silenced {level:.1f})" if name.startswith("att") else ""
-
-
-def tuned(numbers: Numbers) -> str:
-    """Parameters from the swarm."""
-    rows = []
-    for name in FILTERS:
-        each = numbers[f"tune-{name}"]
-        values = ", ".join(f"`{key}` {value:.4g}" for key, value in each["values"].items())
-        rows.append([name, values, f"{each['rmse_deg']:.2f}"])
-    return markdown_table("filter | tuned parameters | RMSE on the tuning flights [°]", rows)
 
 
 def losses(numbers: Numbers) -> str:
@@ -127,7 +117,7 @@ def recoveries(numbers: Numbers) -> str:
             within = np.mean([time is not None for time in times])
             cells[2 * k : 2 * k + 2] = [str(median_time(times)), f"{100 * within:.0f} %"]
         theirs = "< 1" if name in NETWORKS else "> 7" if name in SIX else "between"
-        rows.append([_named(name), *cells, theirs if name in (*SIX, "complementary-adaptive") else "–"])
+        rows.append([named(name), *cells, theirs if name in (*SIX, "complementary-adaptive") else "–"])
     header = "method | in flight [s] | share converged | in hover [s] | share converged | the paper [s]"
     return markdown_table(header, rows)
 
@@ -147,48 +137,5 @@ def activity(numbers: Numbers) -> str:
     header = (
         "layer | spikes per neuron and step | neurons that never spike | the paper | "
         "neurons that spike in less than 0.5 % of the steps | the paper"
-    )
-    return markdown_table(header, rows)
-
-
-def manipulations(numbers: Numbers) -> str:
-    """Errors and gains with a sensor changed."""
-    rows = []
-    for network, title in ((SNN, "Att-SNN"), (CHIP, "Att-SNN (Loihi quantisation)")):
-        for way, name in RESPONSES.items():
-            each = numbers["manipulate"]["networks"][network][way]
-            keys = ("cruise_deg", "error_deg", "slow_gain", "fast_gain")
-            rows.append([title, name, *(f"{each[key]:.2f}" for key in keys)])
-    header = (
-        "network | readings | error at constant velocity [°] | error in aggressive flight [°] | "
-        "gain below 0.2 Hz | gain above 1 Hz"
-    )
-    return markdown_table(header, rows)
-
-
-def counted(numbers: Numbers) -> str:
-    """Operations of one update, by the paper's formulas and counted."""
-    flops, layer = numbers["inside"]["flops"], operations(100, 100)
-    kinds = {
-        "recurrent layer, by the paper's formulas": (layer["snn"], layer["gru"]),
-        "all layers, counted with zeros": (flops["dense"], flops["gru"]),
-        "all layers, counted for spikes only": (flops["sparse"], flops["gru"]),
-    }
-    rows = [[kind, f"{snn:.0f}", f"{gru:.0f}", f"{gru / snn:.2f}"] for kind, (snn, gru) in kinds.items()]
-    return markdown_table("operations per update | Att-SNN | Att-RNN | ratio", rows)
-
-
-def loops(numbers: Numbers) -> str:
-    """The closed loop: crashes, errors and whether they grow."""
-    rows = []
-    for scenario, scores in numbers["loop"]["scenarios"].items():
-        for name, each in scores.items():
-            parts = " → ".join(f"{part:.2f}" for part in each["parts_deg"])
-            error, *tracking = (f"{each[key]:.2f}" for key in ("error_deg", "attitude_deg", "position_m"))
-            title = name if name == "truth" or name in FILTERS else _named(name)
-            rows.append([scenario, title, f"{each['crashes']} of {each['flights']}", error, parts, *tracking])
-    header = (
-        "scenario | attitude from | crashed | estimation error [°] | error in each third of the flight [°] | "
-        "attitude tracking error [°] | position tracking error [m]"
     )
     return markdown_table(header, rows)

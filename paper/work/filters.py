@@ -1,5 +1,6 @@
 """Stages of filters: tuned by the paper's particle swarm within its bounds."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from estimators.tuned import Tuned
 from estimators.tuning.search import SearchSettings, mean_squared_error, swarm, upright, write_tuning
 from quadsim.dataset.reading import open_dataset
 
-from ..stages import FLIGHTS, TUNING, Inputs, Numbers
+from ..stages import FLIGHTS, TUNING, Numbers
 
 GIVEN = {"complementary-adaptive": {"k_a": 0.01}}
 """Parameters that the paper sets."""
@@ -19,9 +20,11 @@ LEAST = 1e-6
 """The swarm searches every other parameter itself between this, for 0, and 1."""
 
 
-def tune(folder: Path, inputs: Inputs, *, name: str, particles: int, iterations: int, seed: int) -> Numbers:
+def tune(
+    folder: Path, *, name: str, flights: Sequence[Path], particles: int, iterations: int, seed: int
+) -> Numbers:
     """Tune a filter on flights of both domains from an unknown start."""
-    data = upright(load_flights([open_dataset(path / FLIGHTS) for path in inputs.values()]))
+    data = upright(load_flights([open_dataset(path / FLIGHTS) for path in flights]))
     given = GIVEN.get(name, {})
     searched = [key for key, each in parameters(name).items() if each.searched and key not in given]
 

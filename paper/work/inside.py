@@ -1,5 +1,6 @@
 """Stages that look inside a network: spikes, ablation, operations, and manipulated inputs."""
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from estimators.networks.network import NetworkEstimator, Spiking
 from estimators.networks.weights_file import load_network
 from quadsim.dataset.reading import open_dataset
 
-from ..stages import FLIGHTS, WEIGHTS, Inputs, Numbers
+from ..stages import FLIGHTS, WEIGHTS, Numbers
 from .scores import flights_of
 
 FRACTIONS = tuple(np.round(np.arange(0.0, 0.65, 0.05), 2))
@@ -23,52 +24,44 @@ RARE = 0.005
 """Spikes per step below which the paper removes a neuron."""
 
 
-def look(folder: Path, inputs: Inputs) -> Numbers:
-    """Spikes, ablation, modelled energy and operations of a network on the chip (Figs. 7, 9).
-
-    Inputs: flights, the spiking network, and its twin of GRUs.
-    """
-    stage, network, rnn = inputs
-    config, tensors = load_network(inputs[network] / WEIGHTS)
-    flights = flights_of(inputs, stage)
+def look(folder: Path, *, flights: Path, network: Path, twin: Path) -> Numbers:
+    """Spikes, ablation, modelled energy and operations of a network on the chip (Figs. 7, 9)."""
+    config, tensors = load_network(network / WEIGHTS)
+    recorded = flights_of(flights)
     core = OnLoihi(config, tensors)
-    activity = record(core, flights.gyro, flights.accel)
+    activity = record(core, recorded.gyro, recorded.accel)
     rates = [activity.of_layer(activity.rates, layer) for layer in (0, 1)]
     left = without(config, tensors, [np.flatnonzero(rate >= RARE) for rate in rates])
     rng = np.random.default_rng(0)
     values = {"activity": rates, "random": [rng.random(rate.size) for rate in rates]}
     curves = {
-        by: [error_deg(*pruned(config, tensors, each, fraction), flights) for fraction in FRACTIONS]
+        by: [error_deg(*pruned(config, tensors, each, fraction), recorded) for fraction in FRACTIONS]
         for by, each in values.items()
     }
-    twin, _ = load_network(inputs[rnn] / WEIGHTS)
+    gru, _ = load_network(twin / WEIGHTS)
     spikes = float(rates[0].sum()), float(rates[1].sum())
     flops = snn_flops(config.encoding, config.hidden, spikes, config.n_outputs)
     return {
         "rates": [rate.round(5).tolist() for rate in rates],
         "without_rare": {
-            "error_deg": error_deg(*left, flights),
+            "error_deg": error_deg(*left, recorded),
             "neurons": left[0].encoding + left[0].hidden,
         },
         "fractions": FRACTIONS,
         "ablation": curves,
         "costs": [asdict(each) for each in costs(counts(core.cores, activity))],
-        "flops": flops | {"gru": gru_flops(twin.encoding, twin.hidden, twin.n_outputs)},
+        "flops": flops | {"gru": gru_flops(gru.encoding, gru.hidden, gru.n_outputs)},
     }
 
 
-def manipulate(folder: Path, inputs: Inputs) -> Numbers:
-    """Estimates from manipulated inputs: pitch at a constant velocity, gains in aggressive flight (Fig. 8).
-
-    Inputs: both flights, and networks.
-    """
-    cruise, test, *networks = inputs
+def manipulate(folder: Path, *, cruise: Path, test: Path, networks: Sequence[Path]) -> Numbers:
+    """Estimates from manipulated inputs: pitch in a cruise, gains in aggressive flight (Fig. 8)."""
     found = {}
-    for name in networks:
-        config, tensors = load_network(inputs[name] / WEIGHTS)
+    for network in networks:
+        config, tensors = load_network(network / WEIGHTS)
         est = NetworkEstimator(Spiking(config, tensors), config.rate_hz)
-        steady, fast = (responses(est, flights_of(inputs, stage)) for stage in (cruise, test))
-        found[name] = {
+        steady, fast = (responses(est, flights_of(each)) for each in (cruise, test))
+        found[network.name] = {
             way: {
                 "pitch_deg": np.degrees(steady[way].estimate[::SHOWN, 1]).round(2).tolist(),
                 "cruise_deg": steady[way].error_deg,
@@ -78,9 +71,9 @@ def manipulate(folder: Path, inputs: Inputs) -> Numbers:
             }
             for way, each in fast.items()
         }
-    truth = flights_of(inputs, cruise)
+    truth = flights_of(cruise)
     pitch = np.degrees(truth.truth[0, ::SHOWN, 1]).round(2).tolist()
-    flown = open_dataset(inputs[cruise] / FLIGHTS)["velocity"].to_numpy()
+    flown = open_dataset(cruise / FLIGHTS)["velocity"].to_numpy()
     metres_s = float(np.median(np.linalg.norm(flown, axis=-1)))
     return {"networks": found, "pitch_deg": pitch, "step_s": SHOWN / truth.rate_hz, "metres_s": metres_s}
 

@@ -24,11 +24,13 @@ from training.config import TrainConfig
 from training.data import flights_of as training_flights_of
 from training.data import load_training_flights
 
-from ..stages import FLIGHTS, TUNING, WEIGHTS, Inputs, Numbers
+from ..stages import FLIGHTS, TUNING, WEIGHTS, Numbers
 
 Array = NDArray[np.float64]
-Networks = Mapping[str, tuple[str, str]]
-"""Label to model and stage whose weights it has."""
+Tuned = Mapping[str, Path]
+"""Filter to the folder of its tuning."""
+Networks = Mapping[str, tuple[str, Path]]
+"""Label to model and the folder of its weights."""
 
 SIX = ("att-snn", "att-rnn", "madgwick", "mahony", "complementary", "ekf")
 """The methods of the paper's Table 2."""
@@ -48,51 +50,52 @@ PARTS = 3
 
 
 def estimators_of(
-    inputs: Inputs, filters: Sequence[str], networks: Networks, rate_hz: float = RATE_HZ
+    filters: Tuned, networks: Networks, rate_hz: float = RATE_HZ
 ) -> dict[str, AttitudeEstimator]:
     """Filters as tuned by their stages, and networks."""
-    tuned = {name: create(name, rate_hz, tuning=inputs[f"tune-{name}"] / TUNING) for name in filters}
+    tuned = {name: create(name, rate_hz, tuning=path / TUNING) for name, path in filters.items()}
     return tuned | {
-        label: create(model, rate_hz, weights=inputs[stage] / WEIGHTS)
-        for label, (model, stage) in networks.items()
+        label: create(model, rate_hz, weights=path / WEIGHTS) for label, (model, path) in networks.items()
     }
 
 
-def flights_of(inputs: Inputs, stage: str) -> Flights:
+def flights_of(path: Path) -> Flights:
     """The flights of a stage."""
-    return load_flights([open_dataset(inputs[stage] / FLIGHTS)])
+    return load_flights([open_dataset(path / FLIGHTS)])
 
 
-def folds(folder: Path, inputs: Inputs, *, mixed: Sequence[str], only: Mapping[str, str]) -> Numbers:
+def folds(folder: Path, *, domains: Sequence[Path], mixed: Sequence[Path], only: Sequence[Path]) -> Numbers:
     """Errors of the flights that trained and that did not, of both domains mixed and of one alone (Table 1).
 
-    Inputs: the flights of both domains, and networks: of `mixed`, by draws of the 70/20/10 split, and of
-    `only`, which gives the domain of each.
+    Args:
+        folder: Of the stage.
+        domains: Flights of both.
+        mixed: Networks by draws of the 70/20/10 split.
+        only: Networks trained on each domain, which are tested on the other.
     """
+    first, second = domains
+    cases = [(path, domains, None) for path in mixed]
+    cases += [(only[0], [first], second), (only[1], [second], first)]
     found = {}
-    domains = {stage for stage in inputs if stage.startswith("fly-")}
-    for stage in (*mixed, *only):
-        config = TrainConfig.model_validate_json((inputs[stage] / "config.json").read_text("utf-8"))
-        own = [only[stage]] if stage in only else sorted(domains, reverse=True)
-        paths = tuple(str(inputs[name] / FLIGHTS) for name in own)
-        train, _, test = training_flights_of(config.model_copy(update={"data": paths}))
-        if stage in only:
-            (other,) = domains - set(own)
-            test = load_training_flights([inputs[other] / FLIGHTS])
-        network = create_network(config.model, train.rate_hz, weights=inputs[stage] / WEIGHTS)
-        found[stage] = {}
+    for path, own, other in cases:
+        config = TrainConfig.model_validate_json((path / "config.json").read_text("utf-8"))
+        data = tuple(str(each / FLIGHTS) for each in own)
+        train, _, test = training_flights_of(config.model_copy(update={"data": data}))
+        test = load_training_flights([other / FLIGHTS]) if other else test
+        network = create_network(config.model, train.rate_hz, weights=path / WEIGHTS)
+        found[path.name] = {}
         for name, flights in (("train", train), ("test", test)):
             network.reset(len(flights))
             error = attitude_error(network.sequence(flights.gyro, flights.accel), flights.roll_pitch)
-            found[stage][name] = error.sequences.tolist()
+            found[path.name][name] = error.sequences.tolist()
     return found
 
 
-def score(folder: Path, inputs: Inputs, *, flights: Sequence[str], seed: int, **contenders: Any) -> Numbers:
-    """Every method on the flights of one stage, filters also with a known start (Table 2, Fig. 5)."""
-    made = estimators_of(inputs, **contenders)
-    (stage,) = flights
-    done = evaluate(open_dataset(inputs[stage] / FLIGHTS), made, settle_s=10.0, seed=seed)
+def score(folder: Path, *, flights: Path, filters: Tuned, networks: Networks, seed: int) -> Numbers:
+    """Every method on flights, filters also with a known start (Table 2, Fig. 5, sample rates, minutes)."""
+    recorded = open_dataset(flights / FLIGHTS)
+    made = estimators_of(filters, networks, float(recorded.attrs["rate_hz"]))
+    done = evaluate(recorded, made, settle_s=10.0, seed=seed)
     done.write_csv(folder / "evaluation.csv")
     sequences: dict[str, dict[str, list[float]]] = {name: {} for name in made}
     for (name, start), errors in done.sequences.items():
@@ -102,29 +105,30 @@ def score(folder: Path, inputs: Inputs, *, flights: Sequence[str], seed: int, **
     return {"sequences": sequences, "silenced_deg": silenced}
 
 
-def recover(folder: Path, inputs: Inputs, *, flights: Sequence[str], seed: int, **contenders: Any) -> Numbers:
+def recover(
+    folder: Path, *, flying: Sequence[Path], hover: Path, filters: Tuned, networks: Networks, seed: int
+) -> Numbers:
     """How estimators converge from an error of 20° (Fig. 6), in two ways.
 
-    In flight: started level where the vehicle is tilted by 20°. In hover, the last of the flights: given an
-    initial roll of 20°, which filters alone take. The example is a start with 20° of pitch, on the second
-    domain.
+    In flight: started level where the vehicle is tilted by 20°. In hover: given an initial roll of 20°, which
+    filters alone take. The example is a start with 20° of pitch, on the second domain.
     """
-    *flying, hover = (flights_of(inputs, name) for name in flights)
-    steps = min(round(RESPONSE_S * RATE_HZ), flying[0].gyro.shape[1] // 2)
-    starts = [tilted_starts(each, TILT_DEG, steps, seed) for each in flying]
+    flights, still = [flights_of(each) for each in flying], flights_of(hover)
+    steps = min(round(RESPONSE_S * RATE_HZ), flights[0].gyro.shape[1] // 2)
+    starts = [tilted_starts(each, TILT_DEG, steps, seed) for each in flights]
     pieces = [piece for piece in starts if piece is not None]
     pitched = int(np.argmax(np.abs(pieces[-1].truth[:, 0, 1])))
-    wrong = np.zeros((len(hover.gyro), 2))
+    wrong = np.zeros((len(still.gyro), 2))
     wrong[:, 0] = np.radians(TILT_DEG)
     curves, example = {}, {"truth": shown(pieces[-1].truth[pitched])}
-    for name, est in estimators_of(inputs, **contenders).items():
+    for name, est in estimators_of(filters, networks).items():
         estimates = [run(est, piece.gyro, piece.accel, quat=piece.quat) for piece in pieces]
         errors = [inclination_error(each, p.truth) for each, p in zip(estimates, pieces, strict=True)]
         curves[name] = {"flight": response_of(np.concatenate(errors))}
         example[name] = shown(estimates[-1][pitched])
         if name in FILTERS:
-            estimate = run(est, hover.gyro, hover.accel, roll_pitch=wrong, quat=hover.quat)
-            curves[name]["hover"] = response_of(inclination_error(estimate, hover.truth)[:, :steps])
+            estimate = run(est, still.gyro, still.accel, roll_pitch=wrong, quat=still.quat)
+            curves[name]["hover"] = response_of(inclination_error(estimate, still.truth)[:, :steps])
     count = sum(len(piece.gyro) for piece in pieces)
     return {"starts": count, "hovers": len(wrong), "curves": curves, "example": example}
 
@@ -144,24 +148,11 @@ def response_of(error: Array) -> dict[str, object]:
     }
 
 
-def compare(
-    folder: Path, inputs: Inputs, *, flights: Sequence[str], rate_hz: float = RATE_HZ, **contenders: Any
-) -> Numbers:
-    """Mean absolute error of each flight from an unknown start: for the claims on rate and minutes."""
-    (stage,) = flights
-    recorded = flights_of(inputs, stage)
-    errors = {}
-    for name, est in estimators_of(inputs, rate_hz=rate_hz, **contenders).items():
-        estimate = run(est, recorded.gyro, recorded.accel)
-        errors[name] = attitude_error(estimate, recorded.truth).sequences.tolist()
-    return {"errors": errors}
-
-
 def close_loop(
-    folder: Path, inputs: Inputs, *, seeds: int, duration_s: float, seed: int, **contenders: Any
+    folder: Path, *, filters: Tuned, networks: Networks, seeds: int, duration_s: float, seed: int
 ) -> Numbers:
     """Simulate scenarios with attitude from networks and filters, and see whether the error grows."""
-    made = {"truth": create("truth"), **estimators_of(inputs, **contenders)}
+    made = {"truth": create("truth"), **estimators_of(filters, networks)}
     scenarios: dict[str, dict[str, dict[str, Any]]] = {name: {} for name in CLOSED}
     for scenario, scores in scenarios.items():
         for name, est in made.items():
@@ -186,7 +177,7 @@ def error_in_parts(log: Log, end: NDArray[np.int64]) -> list[float]:
     return [float(part.mean()) if part.size else np.nan for part in np.array_split(error, PARTS, axis=1)]
 
 
-def latencies(folder: Path, inputs: Inputs, *, rounds: int) -> Numbers:
+def latencies(folder: Path, *, rounds: int) -> Numbers:
     """Time of one update of every estimator (Fig. 9), in turns: 1 %, 50 % and 99 % [µs]."""
     taken = measure(contenders(), rounds)
     return {name: np.percentile(each, [1, 50, 99]).tolist() for name, each in taken.items()}

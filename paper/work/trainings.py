@@ -9,17 +9,15 @@ import numpy as np
 from training.config import make_config
 from training.epochs import run
 
-from ..stages import FLIGHTS, Inputs, Numbers
+from ..stages import FLIGHTS, Numbers
 
 
-def train(
-    folder: Path, inputs: Inputs, *, data: Sequence[str], validation: Sequence[str], **choices: Any
-) -> Numbers:
-    """Train a network on stages of flights; without any to validate on, 70 % of them train and 20 % validate.
+def train(folder: Path, *, data: Sequence[Path], validation: Sequence[Path], **choices: Any) -> Numbers:
+    """Train a network on flights; without any to validate on, 70 % of them train and 20 % validate.
 
     choices: fields of `TrainConfig`.
     """
-    train, choose = ([inputs[name] / FLIGHTS for name in names] for names in (data, validation))
+    train, choose = ([path / FLIGHTS for path in paths] for paths in (data, validation))
     result = run(make_config(data=train, validation=choose, **choices), folder)
     if result.reason == "interrupted":
         raise KeyboardInterrupt

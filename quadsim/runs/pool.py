@@ -10,7 +10,13 @@ from concurrent.futures import BrokenExecutor, CancelledError, Executor, Process
 from concurrent.futures import wait as wait_for
 from contextlib import closing, contextmanager
 from multiprocessing.connection import wait
-from typing import TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+from .files import write_whole
+
+if TYPE_CHECKING:
+    from pydantic import TypeAdapter
 
 CLUSTER_LOST = "the cluster was lost; finished work stays: give the same command again"
 WORKER_DIED = "a worker process died (out of memory, or killed); finished work stays: rerun to go on"
@@ -86,6 +92,34 @@ def run_all(
         unfinished = [key for key in group if key not in finished]
         groups += [(1, [key]) for key in unfinished[: 2 * workers]]
         groups += [(workers, rest)] if (rest := unfinished[2 * workers :]) else []
+
+
+def run_stored(
+    function: Callable[..., Result],
+    jobs: Mapping[Path, tuple],
+    form: "TypeAdapter[Result]",
+    workers: int | None = None,
+    executor: Executor | None = None,
+    *,
+    keep: Callable[[Result], bool] = lambda result: True,
+    apart: bool = False,
+) -> Generator[tuple[Path, Result | BaseException]]:
+    """As `run_all`, of jobs by the file of their result, which is read where an earlier run left it whole.
+
+    A file is written as soon as its job ends, in the JSON of `form`, if the result is worth keeping.
+    """
+    missing = {}
+    for file, job in jobs.items():
+        try:
+            stored = form.validate_json(file.read_bytes())
+        except (OSError, ValueError):
+            missing[file] = job
+        else:
+            yield file, stored
+    for file, result in run_all(function, missing, workers, executor, apart=apart):
+        if not isinstance(result, BaseException) and keep(result):
+            write_whole(file, form.dump_json(result))
+        yield file, result
 
 
 def _submit(

@@ -2,7 +2,6 @@
 
 import time
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -72,14 +71,6 @@ class Cell:
 
 CELL = TypeAdapter(Cell)
 """Writes a cell as JSON, and reads it."""
-
-
-def load_cell(path: Path) -> Cell | None:
-    """A cell from its file; None where there is no whole one."""
-    try:
-        return CELL.validate_json(path.read_bytes())
-    except (OSError, ValueError):
-        return None
 
 
 def fly_cell(name: str, scenario: Scenario, estimator: str, settings: FlightSettings) -> Cell:

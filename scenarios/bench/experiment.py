@@ -6,6 +6,7 @@ equally often, so that the mean over the flights of a level is its main effect.
 """
 
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -14,7 +15,7 @@ from pydantic import Field
 from scipy.stats import qmc
 
 from quadsim.config.ranges import Between
-from quadsim.config.toml import Strict, load_toml, nearest
+from quadsim.config.toml import Strict, load_toml, merged, nearest
 from quadsim.flight.scenario import Scenario, changed, load_scenario, scenario_names
 from quadsim.held_out import HeldOut, load_held_out, releases
 
@@ -55,9 +56,14 @@ class Sweep(Strict):
         Raises:
             ValueError: A value that a field cannot have.
         """
+        fields: Any = deepcopy(self.fields)
+        place = fields
+        *path, last = (int(key) if key.isdecimal() else key for key in self.scaled.split("."))
         try:
-            fields = _scaled(self.fields, self.scaled.split("."), level)
-        except (KeyError, TypeError):
+            for key in path:
+                place = place[key]
+            place[last] = (level * np.array(place[last], np.float64)).tolist()
+        except (KeyError, IndexError, TypeError, ValueError):
             raise ValueError(f'scaled = "{self.scaled}": names no number or vector of fields') from None
         return changed(load_scenario(self.scenario), fields)
 
@@ -96,12 +102,13 @@ class Experiment(Strict):
             ValueError: No such scenario, one that a level does not fit, or two of one name.
         """
         found = self._cases(scenarios)
-        if self.given is None:
-            return found
-        return {
-            name: case._replace(scenario=given_only(case.scenario, self.given))
-            for name, case in found.items()
-        }
+        if self.given is not None:
+            for name, case in found.items():
+                start = {"known_attitude": "initial attitude" in self.given}
+                given = {"vehicle_known": "airframe" in self.given, "start": start}
+                scenario = changed(case.scenario, merged(case.scenario.model_dump(), given))
+                found[name] = case._replace(scenario=scenario)
+        return found
 
     def _cases(self, scenarios: Sequence[str | Path] | None) -> "dict[str, Case]":
         if self.held_out:
@@ -184,12 +191,6 @@ def of_release(experiment: Experiment, release: str) -> Experiment:
     return experiment.model_copy(update={"release": release, "seeds": suite.flights, "seed": suite.seed})
 
 
-def given_only(scenario: Scenario, given: Sequence[Knowledge]) -> Scenario:
-    """A scenario in which estimators are given these things and nothing else."""
-    start = scenario.start.model_copy(update={"known_attitude": "initial attitude" in given})
-    return scenario.model_copy(update={"vehicle_known": "airframe" in given, "start": start})
-
-
 def with_levels(base: Scenario, levels: Levels, axes: Mapping[str, Mapping[str, Any]]) -> Scenario:
     """A scenario with what levels of axes set; faults are added to its own.
 
@@ -198,16 +199,10 @@ def with_levels(base: Scenario, levels: Levels, axes: Mapping[str, Mapping[str, 
     """
     fields, said = base.model_dump(), []
     for axis, level in levels.items():
-        if axis not in axes:
-            continue
-        said.append(f"{axis}: {level}")
-        for name, value in axes[axis][level].items():
-            if name == "faults":
-                fields[name] = (*fields[name], *value)
-            elif isinstance(value, Mapping):
-                fields[name] = {**fields[name], **value}
-            else:
-                fields[name] = value
+        if axis in axes:
+            said.append(f"{axis}: {level}")
+            sets = axes[axis][level]
+            fields = merged(fields, {**sets, "faults": (*fields["faults"], *sets.get("faults", ()))})
     return changed(base, fields | {"description": f"{base.description.rstrip('.')}; {'; '.join(said)}."})
 
 
@@ -256,15 +251,3 @@ def _trajectory(kind: str, period_s: float, tilt_deg: float) -> dict[str, Any]:
         eight = {"amplitude": (3.0, 1.5, 0.0), "ratio": (1, 2, 0), "period_s": period_s}
         return {"kind": "lissajous", "position": place, **eight}
     return {"kind": "mix", "position": place, "max_tilt_deg": tilt_deg, "min_tilt_deg": 0.5 * tilt_deg}
-
-
-def _scaled(value: Any, path: Sequence[str], level: float) -> Any:
-    """A nested value in which the number or vector at a path is multiplied by a level."""
-    if not path:
-        return [level * each for each in value] if isinstance(value, list | tuple) else level * value
-    key, *rest = path
-    if isinstance(value, Mapping):
-        return {**value, key: _scaled(value[key], rest, level)}
-    if key not in map(str, range(len(value))):
-        raise KeyError(key)
-    return [_scaled(each, rest, level) if str(k) == key else each for k, each in enumerate(value)]

@@ -99,11 +99,6 @@ class Results:
         return found
 
     @property
-    def planned(self) -> list[tuple[str, int]]:
-        """Scenario and seed of every flight that each contender was to fly."""
-        return [(name, seed) for name in self.scenarios for seed in range(self.settings.seeds)]
-
-    @property
     def warnings(self) -> list[str]:
         """What was tuned or trained for another vehicle or IMU, and faults that begin after the end."""
         tuned: dict[str, dict[str, None]] = {}

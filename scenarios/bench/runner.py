@@ -16,12 +16,12 @@ from quadsim.external import load_external
 from quadsim.flight.scenario import Scenario, changed
 from quadsim.imu.spec import load_imu
 from quadsim.own import is_own, own_files
-from quadsim.runs.files import alone, write_whole
+from quadsim.runs.files import alone
 from quadsim.runs.fingerprint import ASSETS, ROOT, code_digest, content_digest, file_digest, fingerprint
-from quadsim.runs.pool import run_all
+from quadsim.runs.pool import run_stored
 from quadsim.vehicle import load_vehicle
 
-from .cell import CELL, Cell, FlightSettings, fly_cell, load_cell, tuning_of
+from .cell import CELL, Cell, FlightSettings, fly_cell, tuning_of
 from .controllers import controller_of, estimator_of
 from .experiment import SUITE, Experiment
 from .results import Results, save_results
@@ -79,40 +79,27 @@ def bench(
     _check(flown, names, settings)
     jobs = [(name, scenario, each) for name, scenario in flown.items() for each in names]
     files = [out / "cells" / f"{each[:32]}.json" for each in _fingerprints(jobs, settings)]
+    progress = progress or (lambda done, total: None)
+    cells: dict[Path, Cell] = {}
+    said: set[tuple[str, str]] = set()
     with alone(out):
         out.mkdir(parents=True, exist_ok=True)
-        cells = _fly_cells(jobs, files, settings, workers, executor, progress or (lambda done, total: None))
+        progress(0, len(jobs))
+        todo = {file: (*job, settings) for file, job in zip(files, jobs, strict=True)}
+        for file, cell in run_stored(
+            fly_cell, todo, CELL, workers, executor, keep=lambda cell: not cell.reason
+        ):
+            if isinstance(cell, BaseException):  # the worker itself died
+                cell = Cell(todo[file][0], todo[file][2], f"{type(cell).__name__}: {cell}")
+            if cell.reason and (cell.estimator, cell.reason) not in said:  # once for all scenarios
+                log.warning("%s with %s did not run: %s", cell.scenario, cell.estimator, cell.reason)
+                said.add((cell.estimator, cell.reason))
+            cells[file] = cell
+            progress(len(cells), len(jobs))
         levels = {name: case.levels for name, case in cases.items() if case.levels}
-        results = Results(flown, names, settings, cells, experiment, levels)
+        results = Results(flown, names, settings, [cells[file] for file in files], experiment, levels)
         save_results(out, results)
         return results
-
-
-def _fly_cells(
-    jobs: Sequence[Job],
-    files: Sequence[Path],
-    settings: FlightSettings,
-    workers: int | None,
-    executor: Executor | None,
-    progress: Progress,
-) -> list[Cell]:
-    """Cells, read where an earlier run has stored the same ones."""
-    cells = {i: cell for i, file in enumerate(files) if (cell := load_cell(file))}
-    missing = [i for i in range(len(jobs)) if i not in cells]
-    progress(len(cells), len(jobs))
-    said: set[tuple[str, str]] = set()
-    for i, cell in run_all(fly_cell, {i: (*jobs[i], settings) for i in missing}, workers, executor):
-        if isinstance(cell, BaseException):  # the worker itself died
-            name, _, estimator = jobs[i]
-            cell = Cell(name, estimator, f"{type(cell).__name__}: {cell}")
-        cells[i] = cell
-        if not cell.reason:
-            write_whole(files[i], CELL.dump_json(cell))
-        elif (cell.estimator, cell.reason) not in said:  # once for all scenarios
-            log.warning("%s with %s did not run: %s", cell.scenario, cell.estimator, cell.reason)
-            said.add((cell.estimator, cell.reason))
-        progress(len(cells), len(jobs))
-    return [cells[i] for i in range(len(jobs))]
 
 
 def files_of(scenario: Scenario, contender: str) -> list[str | Path]:

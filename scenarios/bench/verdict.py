@@ -2,15 +2,15 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from quadsim.flight.scenario import Scenario
 
 from .controllers import CASCADED, controller_of, estimator_of
 from .experiment import Condition
-from .ranking import Difference, Place, listed, paired_difference, ranked
+from .ranking import Place, listed, paired_difference, ranked
 from .recommendation import recommendation
 from .results import Results
 
@@ -69,7 +69,11 @@ def verdict(results: Results) -> Verdict:
         return Verdict(*_nobody(results), table)
     lines: list[str] = []
     if results.experiment.conditions:
-        found = _on_conditions(results)
+        levels = results.levels.items()
+        found = [
+            (each, choice(results, [name for name, own in levels if own[each.axis] in each.levels]))
+            for each in results.experiment.conditions
+        ]
         headline = _headline_of(results, found, whole, measure)
         lines += [
             f"{each.name}: {recommended(own, measure) if own.best else 'none flew.'}" for each, own in found
@@ -93,8 +97,9 @@ def choice(results: Results, scenarios: Sequence[str]) -> Choice:
     measure = measure_of(results.estimators)
     flights = results.flights.query("scenario in @scenarios and estimator not in @results.unranked")
     safe = {*flights.query("cause == ''")["scenario"]}
-    planned = [flight for flight in results.planned if flight[0] in scenarios]
-    places = ranked(flights, [flight for flight in planned if flight[0] in safe] or planned, measure.key)
+    counted = [name for name in scenarios if name in safe] or scenarios
+    planned = [(name, seed) for name in counted for seed in range(results.settings.seeds)]
+    places = ranked(flights, planned, measure.key)
     best = places[:1]
     for place in places[1:]:
         behind = paired_difference(flights, place.name, places[0].name, measure.key)
@@ -127,13 +132,18 @@ def shown(error_deg: float | None) -> str:
 
 def conditions(scenarios: Mapping[str, Scenario]) -> str:
     """What the scenarios have in common, and how many differ, in a sentence."""
-    aspects = {
-        "airframe": [Path(each.vehicle).stem for each in scenarios.values()],
-        "its drag": [_drag(each) for each in scenarios.values()],
-        "IMU": [Path(each.imu).stem for each in scenarios.values()],
-        "initial attitude": [_initial(each) for each in scenarios.values()],
+    aspects: dict[str, Callable[[Scenario], str]] = {
+        "airframe": lambda each: Path(each.vehicle).stem,
+        "its drag": _drag,
+        "IMU": lambda each: Path(each.imu).stem,
+        "initial attitude": _initial,
     }
-    return f"Conditions: {'; '.join(f'{aspect} {_counted(levels)}' for aspect, levels in aspects.items())}."
+    found = []
+    for aspect, level_of in aspects.items():
+        counts = Counter(map(level_of, scenarios.values())).most_common()
+        each = [f"{level} in {_count(times, 'scenario')}" for level, times in counts]
+        found.append(f"{aspect} {', '.join(each) if len(counts) > 1 else counts[0][0]}")
+    return f"Conditions: {'; '.join(found)}."
 
 
 # --- the table ------------------------------------------------------------------------------------
@@ -145,15 +155,15 @@ def _table(results: Results, places: Sequence[Place], measure: Measure) -> list[
     rows = []
     for name in [*order, *left_out, *unranked]:
         own = results.totals[name]
-        flown = [(axis, row) for (axis, _, n), row in results.by_level.items() if n == name and row.flights]
-        rates = [(row.crash_rate, getattr(row, measure.key) or 0.0) for _, row in flown]
         notes = [f"not ranked: it {unranked[name]}"] if name in unranked else []
         if own.failed:
             why = next(cell.reason for cell in results.cells if cell.estimator == name and cell.reason)
             notes.append(f"did not run in {_count(own.failed, 'scenario')}: {why}")
         interval, behind = f"{100 * own.crash_low:.0f}–{100 * own.crash_high:.0f}", "–"
         if name in order[1:]:
-            behind = _with_interval(paired_difference(results.flights, name, order[0], measure.key))
+            found = paired_difference(results.flights, name, order[0], measure.key)
+            half = f" ± {found.half:.2f}" if found.half >= 0.0 else ""
+            behind = "–" if math.isnan(found.mean) else f"{found.mean:+.2f}{half}"
         texts = {
             "rank": str(order.index(name) + 1) if name in order else "–",
             "crashed": f"{own.crashes} of {own.flights} ({interval} %)",
@@ -161,7 +171,7 @@ def _table(results: Results, places: Sequence[Place], measure: Measure) -> list[
             "attitude tracking [°]": _number(own.attitude_deg),
             "error minus that of rank 1 [°]": behind,
             "command change [rad/s]": _number(own.jitter),
-            "at worst": described(*flown[rates.index(max(rates))], measure) if flown else "–",
+            "at worst": _worst(results, name, measure),
             "note": "; ".join(notes),
         }
         if measure == ERROR:
@@ -170,17 +180,15 @@ def _table(results: Results, places: Sequence[Place], measure: Measure) -> list[
     return rows
 
 
-def described(axis: str, row: Any, measure: Measure) -> str:
-    """A level with its crashes and error: "storm, 2 of 10 crashed, 3.10°"."""
+def _worst(results: Results, name: str, measure: Measure) -> str:
+    """The level with most crashes, and the largest error among these: "storm, 2 of 10 crashed, 3.10°"."""
+    flown = [(axis, row) for (axis, _, n), row in results.by_level.items() if n == name and row.flights]
+    if not flown:
+        return "–"
+    axis, row = max(flown, key=lambda each: (each[1].crash_rate, getattr(each[1], measure.key) or 0.0))
     level = row.scenario if axis == "scenario" else f"{axis}: {row.scenario}"
     crashes = f"{row.crashes} of {row.flights} crashed, " if row.crashes else ""
     return f"{level}, {crashes}{shown(getattr(row, measure.key))}"
-
-
-def _with_interval(found: Difference) -> str:
-    if math.isnan(found.mean):
-        return "–"
-    return f"{found.mean:+.2f}" + (f" ± {found.half:.2f}" if found.half >= 0.0 else "")
 
 
 # --- the sentence ---------------------------------------------------------------------------------
@@ -218,15 +226,6 @@ def _headline(results: Results, whole: Choice, measure: Measure) -> str:
     if whole.lost:
         return f"No estimator survives {_where(whole.lost, 'any of')}; {text}"
     return text[0].upper() + text[1:]
-
-
-def _on_conditions(results: Results) -> list[tuple[Condition, Choice]]:
-    """Each condition of the experiment, and what to fly on it."""
-    levels = results.levels.items()
-    return [
-        (each, choice(results, [name for name, own in levels if own[each.axis] in each.levels]))
-        for each in results.experiment.conditions
-    ]
 
 
 def _headline_of(
@@ -308,10 +307,3 @@ def _initial(scenario: Scenario) -> str:
         return "not given"
     error = scenario.start.attitude_error_deg
     return f"given {error:g}° wrong" if error else "given"
-
-
-def _counted(levels: Sequence[str]) -> str:
-    counts = Counter(levels).most_common()
-    if len(counts) == 1:
-        return levels[0]
-    return ", ".join(f"{level} in {_count(times, 'scenario')}" for level, times in counts)

@@ -43,6 +43,9 @@ class Cell(NamedTuple):
     title: str = ""
 
 
+NONE = Cell("–", None)
+
+
 def find_entries(folders: Sequence[Path]) -> list[Entry]:
     """The entries in folders, and in the folders inside these; the last of one task, code and name counts.
 
@@ -64,25 +67,12 @@ def find_entries(folders: Sequence[Path]) -> list[Entry]:
 
 def write_leaderboard(path: Path, entries: Sequence[Entry]) -> Path:
     """Write the page; entries of another task or other code have a table of their own."""
-    boards = []
-    for (version, task, code), group in groupby(entries, lambda each: (each.version, each.task, each.code)):
-        own = list(group)
-        flights = flights_of(own)
-        names = [each.card.name for each in own if not each.reasons]
-        boards.append(
-            {
-                "title": f"{version} (task {task[:8]}, code {code[:8]})",
-                "tracks": [
-                    _track(track, own, flights) for track in sorted({each.card.track for each in own})
-                ],
-                "pictures": {
-                    "Performance profile": _encoded(profile(flights, names)),
-                    "Error and cost": _encoded(fronts(own)),
-                }
-                if names
-                else {},
-            }
+    boards = [
+        _board(title, list(own))
+        for title, own in groupby(
+            entries, lambda each: f"{each.version} (task {each.task[:8]}, code {each.code[:8]})"
         )
+    ]
     page = render(
         "report/leaderboard.html",
         title="Leaderboard",
@@ -92,6 +82,18 @@ def write_leaderboard(path: Path, entries: Sequence[Entry]) -> Path:
         script=script("report/js/leaderboard.js"),
     )
     return write_whole(path.expanduser(), page)
+
+
+def _board(title: str, entries: Sequence[Entry]) -> dict[str, Any]:
+    """The tables of all tracks, and pictures of the entries that are ranked."""
+    flights = flights_of(entries)
+    names = [each.card.name for each in entries if not each.reasons]
+    pictures = {"Performance profile": profile(flights, names), "Error and cost": fronts(entries)}
+    return {
+        "title": title,
+        "tracks": [_track(each, entries, flights) for each in sorted({each.card.track for each in entries})],
+        "pictures": {name: _encoded(figure) for name, figure in pictures.items() if names},
+    }
 
 
 def flights_of(entries: Sequence[Entry]) -> pd.DataFrame:
@@ -126,29 +128,31 @@ def _track(track: str, entries: Sequence[Entry], flights: pd.DataFrame) -> dict[
     order = standing(list(own.values()), flights)
     rows = []
     for name in [*order, *(name for name in own if name not in order)]:
-        entry = own[name]
-        rank = Cell(str(order.index(name) + 1), order.index(name) + 1.0) if name in order else Cell("–", None)
-        cells = {"rank": rank} | _loop_cells(entry)
-        cells["better than the leader"] = Cell("–", None)
-        if name in order[1:]:
-            better = improvement(flights, name, order[0])
-            low, high = better.mean_interval()
-            shares = f"{100 * better.mean:.0f} % ({100 * low:.0f}–{100 * high:.0f})"
-            cells["better than the leader"] = Cell(shares, better.mean)
-        cells |= _part_cells(entry) | _cost_cells(entry)
+        entry, better, leads = own[name], NONE, order[:1] == [name]
+        if name in order and not leads:
+            wins = improvement(flights, name, order[0])
+            low, high = wins.mean_interval()
+            better = Cell(f"{100 * wins.mean:.0f} % ({100 * low:.0f}–{100 * high:.0f})", wins.mean)
+        rank = order.index(name) + 1 if name in order else None
+        cells = {
+            "rank": Cell(str(rank), float(rank)) if rank else NONE,
+            "crashed": _crash_cell(entry),
+            "error in closed loop [°]": _mean_cell(loop_errors(entry)),
+            "better than the leader": better,
+        }
+        cells |= {f"{TITLES.get(k, k)} [°]": _mean_cell(p.errors, p.note) for k, p in entry.parts.items()}
         why = f"not ranked: it {entry.reasons[0]}" if entry.reasons else ""
-        rows.append({"entry": entry, "cells": cells, "why": why})
+        rows.append({"entry": entry, "cells": cells | _cost_cells(entry), "why": why})
     headings = list(dict.fromkeys(heading for row in rows for heading in row["cells"]))
     return {"name": track, "rows": rows, "headings": headings}
 
 
-def _loop_cells(entry: Entry) -> dict[str, Cell]:
+def _crash_cell(entry: Entry) -> Cell:
     flown, crashes = len(entry.flights), sum(flight.cause != "" for flight in entry.flights)
     if not flown:
-        return {"crashed": Cell("–", None), "error in closed loop [°]": Cell("–", None)}
+        return NONE
     low, high = wilson(crashes, flown)
-    crashed = Cell(f"{crashes} of {flown} ({100 * low:.1f}–{100 * high:.1f} %)", crashes / flown)
-    return {"crashed": crashed, "error in closed loop [°]": _mean_cell(loop_errors(entry))}
+    return Cell(f"{crashes} of {flown} ({100 * low:.1f}–{100 * high:.1f} %)", crashes / flown)
 
 
 def loop_errors(entry: Entry) -> Summary | None:
@@ -163,10 +167,6 @@ def _mean_cell(errors: Summary | None, title: str = "") -> Cell:
         return Cell("–", None, title)
     low, high = errors.mean_interval()
     return Cell(f"{errors.mean:.2f} ({low:.2f}–{high:.2f})", errors.mean, title)
-
-
-def _part_cells(entry: Entry) -> dict[str, Cell]:
-    return {f"{TITLES.get(k, k)} [°]": _mean_cell(part.errors, part.note) for k, part in entry.parts.items()}
 
 
 def _cost_cells(entry: Entry) -> dict[str, Cell]:

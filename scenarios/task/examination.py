@@ -25,6 +25,7 @@ from estimators.networks.weights_file import load_network
 from quadsim.estimator import AttitudeEstimator, receives_truth
 from quadsim.own import named_errors
 
+from .data import groups
 from .entry import Card, Cost, is_network
 from .operations import counted_operations
 from .specification import Task
@@ -53,15 +54,9 @@ class Examined(NamedTuple):
     runs: bool  #: whether it may run on the parts
 
 
-def examine(task: Task, card: Card, folder: Path, flights: Flights) -> Examined:
-    """Check and measure an entry.
-
-    Args:
-        task: The task.
-        card: The entry's card.
-        folder: Of the task's data, which the entry must not open.
-        flights: Some of its flights.
-    """
+def examine(task: Task, card: Card, folder: Path) -> Examined:
+    """Check and measure an entry on flights of a task's data, whose folder it must not open."""
+    flights = next(groups(task, task.parts[0], folder)).flights
     reasons, opened, cost, passed = list[str](), list[str](), None, False
     too_long = f"took more than {PATIENCE_S:g} s for its checks"
     try:

@@ -5,7 +5,7 @@ from concurrent.futures import Executor
 from dataclasses import asdict, fields
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from pydantic import TypeAdapter
 
@@ -16,7 +16,7 @@ from estimators.running import run_checked
 from quadsim.runs.console import Bar
 from quadsim.runs.files import alone, write_whole
 from quadsim.runs.fingerprint import code_digest, fingerprint
-from quadsim.runs.pool import run_all
+from quadsim.runs.pool import run_stored
 
 from ..bench.cell import FlightSettings
 from ..bench.results import records
@@ -29,14 +29,6 @@ from .specification import BROAD, Task
 EXAMINED, SCORE = TypeAdapter(Examined), TypeAdapter(PartScore)
 LONGEST = 20.0
 """Times the length of the allowed time after which a part is ended."""
-
-
-class Entered(NamedTuple):
-    """An entry that runs."""
-
-    card: Card
-    digest: str
-    folder: Path
 
 
 def run_task(
@@ -64,94 +56,61 @@ def run_task(
         ValueError: A bad argument, two entries of one name, or a folder that another process writes.
         OSError: Something cannot be written.
     """
-    entered = []
-    for source in dict.fromkeys(sources):
-        card = card_of(source, task.rate_hz)
-        entered.append(Entered(card, digest_of_entry(source), out / card.name))
-    data = out / "data"
-    if len({data, *(each.folder for each in entered)}) <= len(entered):
-        named = ", ".join(each.card.source for each in entered)
+    cards = [card_of(source, task.rate_hz) for source in dict.fromkeys(sources)]
+    if len({"data", *(card.name for card in cards)}) <= len(cards):
+        named = ", ".join(card.source for card in cards)
         raise ValueError(f'two entries have one name, or one is called "data": {named}')
     with alone(out):
-        digests = make_data(task, data, recordings, workers, progress)
+        digests = make_data(task, out / "data", recordings, workers, progress)
         code = fingerprint(flight_code(), code_digest("scenarios.task.run"))
         about = {"version": task.version, "task": task.fingerprint, "code": code, "data": digests}
-        examined = _examined(task, entered, data, about, progress)
-        scored = _scored(task, entered, examined, data, about, workers, executor, progress)
-        entries = []
-        for each in entered:
-            found, flown, flaws = examined[each.folder], (), list[str]()
-            if found.runs:
-                run = partial(progress, note=f"{each.card.name}, closed loop")
-                flown, flaws = fly_entry(task, each, workers, executor, run)
-            parts = scored.get(each.folder, {})
-            flaws += [f"{part.flaw} ({name})" for name, part in parts.items() if part.flaw]
-            flaws += [
-                f"ran on data that differ from the task's ({name})" for name in differing(task, digests)
-            ]
-            entry = Entry(
-                **about, entry=each.digest, card=each.card, cost=found.cost, parts=parts,
-                flights=flown, reasons=tuple(dict.fromkeys([*found.reasons, *flaws])),
-            )  # fmt: skip
-            write_whole(each.folder / FILE, ENTRY.dump_json(entry, indent=1))
-            entries.append(entry)
-    return entries
+        return [_run_entry(task, card, out, about, workers, executor, progress) for card in cards]
 
 
-def _examined(
-    task: Task, entered: Sequence[Entered], data: Path, about: Mapping[str, Any], progress: Bar
-) -> dict[Path, Examined]:
-    """What was found of each entry, one after the other: times are measured."""
-    found = {}
-    flights = next(groups(task, task.parts[0], data)).flights
-    for k, each in enumerate(entered):
-        progress(k, len(entered), f"{each.card.name}, checks")
-        file = _file(each, "checks", about)
-        if (stored := _stored(file, EXAMINED)) is None:
-            stored = examine(task, each.card, data, flights)
-            write_whole(file, EXAMINED.dump_json(stored))
-        found[each.folder] = stored
-    return found
-
-
-def _scored(
+def _run_entry(
     task: Task,
-    entered: Sequence[Entered],
-    examined: Mapping[Path, Examined],
-    data: Path,
+    card: Card,
+    out: Path,
     about: Mapping[str, Any],
     workers: int | None,
     executor: Executor | None,
     progress: Bar,
-) -> dict[Path, dict[str, PartScore]]:
-    """Errors of each entry on each part."""
-    by_name = {each.card.name: each for each in entered if examined[each.folder].runs}
-    files = {(name, part): _file(each, part, about) for name, each in by_name.items() for part in task.parts}
-    done = {key: stored for key, file in files.items() if (stored := _stored(file, SCORE)) is not None}
-    jobs = {key: (task, key[1], by_name[key[0]].card, data) for key in files if key not in done}
-    for key, score in run_all(score_part, jobs, workers, executor, apart=workers != 1):
+) -> Entry:
+    """Check an entry, score it on each part of the data and fly it, and write its file."""
+    folder, data, entry = out / card.name, out / "data", digest_of_entry(card.source)
+
+    def file_of(what: str) -> Path:
+        """Where a finished run is: on a part of the data, or of the checks."""
+        given = what, about["task"], about["code"], about["data"].get(what), entry, asdict(card)
+        return folder / "runs" / f"{what}-{fingerprint(*given)[:16]}.json"
+
+    progress(0, len(task.parts), f"{card.name}, checks")
+    checks = {file_of("checks"): (task, card, data)}
+    ((_, found),) = run_stored(examine, checks, EXAMINED, workers=1)
+    assert isinstance(found, Examined)
+    files = {file_of(part): part for part in task.parts if found.runs}
+    jobs = {file: (task, part, card, data) for file, part in files.items()}
+    parts, flown, reasons = dict[str, PartScore](), (), list(found.reasons)
+    for file, score in run_stored(score_part, jobs, SCORE, workers, executor, apart=workers != 1):
         if isinstance(score, BaseException):  # the worker itself died
             score = PartScore(flaw=f"did not run: {type(score).__name__}: {score}")
-        else:
-            write_whole(files[key], SCORE.dump_json(score))
-        done[key] = score
-        progress(len(done), len(files), ", ".join(key))
-    return {each.folder: {part: done[name, part] for part in task.parts} for name, each in by_name.items()}
-
-
-def _file(entered: Entered, what: str, about: Mapping[str, Any]) -> Path:
-    """Where a finished run of an entry is: on a part of the data, or of the checks."""
-    data = about["data"].get(what)
-    digest = fingerprint(what, about["task"], about["code"], data, entered.digest, asdict(entered.card))
-    return entered.folder / "runs" / f"{what}-{digest[:16]}.json"
-
-
-def _stored(file: Path, adapter: TypeAdapter[Any]) -> Any:
-    """What an earlier run wrote; None where there is nothing whole."""
-    try:
-        return adapter.validate_json(file.read_bytes())
-    except (OSError, ValueError):
-        return None
+        parts[files[file]] = score
+        progress(len(parts), len(files), f"{card.name}, {files[file]}")
+    if found.runs:
+        run = partial(progress, note=f"{card.name}, closed loop")
+        flown, flaws = fly_entry(task, card, folder / "closed-loop", workers, executor, run)
+        reasons += flaws
+    parts = {part: parts[part] for part in files.values()}
+    reasons += [f"{score.flaw} ({part})" for part, score in parts.items() if score.flaw]
+    reasons += [
+        f"ran on data that differ from the task's ({part})" for part in differing(task, about["data"])
+    ]
+    done = Entry(
+        **about, entry=entry, card=card, cost=found.cost, parts=parts, flights=flown,
+        reasons=tuple(dict.fromkeys(reasons)),
+    )  # fmt: skip
+    write_whole(folder / FILE, ENTRY.dump_json(done, indent=1))
+    return done
 
 
 def score_part(task: Task, name: str, card: Card, data: Path) -> PartScore:
@@ -192,13 +151,13 @@ def _errors(task: Task, card: Card, group: Group, data: Path, flaws: list[str]) 
 
 
 def fly_entry(
-    task: Task, each: Entered, workers: int | None, executor: Executor | None, progress: Any
+    task: Task, card: Card, out: Path, workers: int | None, executor: Executor | None, progress: Any
 ) -> tuple[tuple[LoopFlight, ...], list[str]]:
     """The flights of an entry in closed loop, and why it must not be ranked."""
-    experiment = task.experiment(each.card.knowledge)
+    experiment = task.experiment(card.knowledge)
     settings = FlightSettings(experiment.seeds, experiment.seed or 0, task.rate_hz)
     results = bench(
-        None, [each.card.source], each.folder / "closed-loop", settings,
+        None, [card.source], out, settings,
         experiment=experiment, workers=workers, executor=executor, progress=progress,
     )  # fmt: skip
     names = [each.name for each in fields(LoopFlight)]

@@ -115,7 +115,7 @@ def test_the_faults_of_a_recording_are_those_of_its_scores_and_table(tmp_path):
     scores = score_logs([jumped], ["mahony"], within_deg=90.0)
     assert [fault.kind for fault in scores.logs["jumped"].faults] == ["bias jump"]
     assert set(scores.table.faults) == {"bias jump, gyroscope x"}
-    assert any(line.startswith("One log shows") for line in log_verdict(scores).lines)
+    assert any(line.startswith("One log is not enough") for line in log_verdict(scores).lines)
 
 
 @pytest.mark.parametrize(

@@ -49,12 +49,6 @@ def test_results_do_not_depend_on_the_workers(tmp_path):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
 
 
-def test_flights_do_not_depend_on_how_many_there_are(tmp_path):
-    few, many = small(tmp_path / "few", seeds=1), small(tmp_path / "many", seeds=3)
-    first = many.flights[many.flights["seed"] == 0].reset_index(drop=True)
-    pd.testing.assert_frame_equal(first, few.flights)
-
-
 @pytest.fixture
 def flown(monkeypatch):
     """Scenario and estimator of each cell that is flown, and not read."""
