@@ -155,6 +155,10 @@ def test_a_run_that_was_stopped_goes_on_where_it_was(place, task, monkeypatch):
     monkeypatch.setattr("scenarios.task.run.examine", None)
     monkeypatch.setattr("scenarios.task.run.score_part", None)
     monkeypatch.setattr("scenarios.bench.runner.fly_cell", None)
+    with monkeypatch.context() as patch:
+        patch.setattr("scenarios.task.run.fly_entry", lambda *_: ((), ["did not fly"]))
+        (unfit,) = run_task(task, [f"{place}/mine.py:Mine"], place / "out", workers=1)
+    assert unfit.reasons == ("did not fly",)
     assert run_task(task, [f"{place}/mine.py:Mine"], place / "out", workers=1) == [before]
 
 
