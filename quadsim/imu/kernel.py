@@ -34,7 +34,6 @@ IMU = np.dtype(
         ("vibration_on", "i8"),
         ("amplitude", "f8", (SENSORS, 3)),  # over the square of the rotor speed
         ("corner", "f8", SENSORS),  # of the low-pass [rad/s]
-        ("order", "i8", SENSORS),
         ("white", "f8", SENSORS),
         ("decay", "f8", SENSORS),
         ("diffusion", "f8", SENSORS),
@@ -78,20 +77,18 @@ def white_noise_sd(density: float, dt: float) -> float:
 
 
 @cache
-def low_pass_coefficients(corner: float, order: int, dt: float) -> tuple[Array, Array, Array]:
-    """Exact step of a continuous Butterworth filter whose input is a straight line between samples.
+def low_pass_coefficients(corner: float, dt: float) -> tuple[Array, Array, Array]:
+    """Exact step of a Butterworth filter of second order whose input is a straight line between samples.
 
-    The state is z = (y, ẏ/ω_c) for order 2 and (y, 0) for order 1, and a step from input u₀ to u₁ is
+    The state is z = (y, ẏ/ω_c), and a step from input u₀ to u₁ is
     z ← transition z + from_last u₀ + from_new u₁ (triangle hold: Franklin, Powell, Workman 1998, 6.3.2).
-    Its delay at low frequency is 1/ω_c for order 1 and √2/ω_c for order 2, at any sample rate.
+    Its delay at low frequency is √2/ω_c, at any sample rate.
 
     Args:
         corner: Angular frequency of the −3 dB point ω_c [rad/s].
-        order: 1 or 2.
         dt: Sample time [s].
     """
-    A = np.array([[0.0, 1.0], [-1.0, -math.sqrt(2.0)]]) if order == 2 else np.diag([-1.0, -1.0])
-    B = np.array([0.0, 1.0]) if order == 2 else np.array([1.0, 0.0])
+    A, B = np.array([[0.0, 1.0], [-1.0, -math.sqrt(2.0)]]), np.array([0.0, 1.0])
     block = np.zeros((4, 4))
     block[:2, :2], block[:2, 2], block[2, 3] = A * corner * dt, B * corner * dt, 1.0
     step = np.asarray(expm(block), dtype=np.float64)
@@ -109,12 +106,10 @@ def constants(spec: ImuSpec, dt: float) -> NDArray[np.void]:
         p["vibration_on"] = 1
         p["amplitude"] = np.array([spec.vibration.gyro, spec.vibration.accel]) / spec.vibration.rotor_vel**2
     for index, sensor in enumerate(spec.sensors.values()):
-        corner, order, tau = 2.0 * math.pi * sensor.low_pass_hz, sensor.low_pass_order, sensor.time_constant
-        p["low_pass_on"][index], p["order"][index] = corner > 0.0, order
-        p["corner"][index] = corner or np.inf
-        p["transition"][index], p["from_last"][index], p["from_new"][index] = low_pass_coefficients(
-            corner, order, dt
-        )
+        corner, tau = 2.0 * math.pi * sensor.low_pass_hz, sensor.time_constant
+        p["low_pass_on"][index], p["corner"][index] = corner > 0.0, corner or np.inf
+        step = low_pass_coefficients(corner, dt)
+        p["transition"][index], p["from_last"][index], p["from_new"][index] = step
         p["white"][index] = white_noise_sd(sensor.noise, dt)
         p["decay"][index] = math.exp(-dt / (tau or math.inf))
         p["diffusion"][index] = sensor.walk_sd * math.sqrt(-math.expm1(-2.0 * dt / (tau or math.inf)))
@@ -191,7 +186,7 @@ def _vibrate(p, x, rotor_vel):
         p.phase[rotor] = phase - 2.0 * math.pi * math.floor(phase / (2.0 * math.pi))
         for sensor in range(SENSORS):
             ratio = (speed / p.corner[sensor]) ** 2
-            gain = speed * speed / math.sqrt(1.0 + (ratio * ratio if p.order[sensor] == 2 else ratio))
+            gain = speed * speed / math.sqrt(1.0 + ratio * ratio)
             for axis in range(3):
                 wave = math.sin(p.phase[rotor] + p.phase_offset[rotor, sensor, axis])
                 x[sensor, axis] += p.amplitude[sensor, axis] * gain * wave

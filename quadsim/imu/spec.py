@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, TypeAlias
 
 import numpy as np
 from pydantic import model_validator
@@ -31,9 +31,7 @@ class Sensor(Strict):
     misalignment: Spread = 0.0
     """Standard deviation of the part of another axis that an axis sees [rad]."""
     low_pass_hz: Annotated[float, Between(0.0, 1e5, "Hz")] = 0.0
-    """Corner (−3 dB) of the Butterworth low-pass [Hz]; 0 for none."""
-    low_pass_order: Literal[1, 2] = 2
-    """Order of the low-pass."""
+    """Corner (−3 dB) of the Butterworth low-pass of second order [Hz]; 0 for none."""
     resolution: Annotated[float, Between(0.0, 50.0)] = 0.0
     """Step of the digital output [unit]; 0 for none."""
     saturation: Annotated[float, Between(1e-3, 1e5)] | None = None

@@ -14,9 +14,7 @@ EVERYTHING = load_imu("px4-mini").model_copy(
         "dropped": 0.05,
     }
 )
-PARTS = (set(ImuSpec.model_fields) | set(Sensor.model_fields)) - {
-    *("gyro", "accel", "time_constant", "low_pass_order")
-}
+PARTS = (set(ImuSpec.model_fields) | set(Sensor.model_fields)) - {"gyro", "accel", "time_constant"}
 """Parts of the error that can be switched off, by the name of their field."""
 
 
