@@ -5,41 +5,28 @@ attitude and its velocity go over into those of the flight that follows.
 """
 
 from collections.abc import Sequence
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..config.ranges import Between, Rising
-from ..config.toml import Strict
 from ..rotation import euler_from_quat, quat_from_euler, quat_rotate_inverse
 from ..vehicle import GRAVITY
 from .hand_held import body_rate
 
 Array = NDArray[np.float64]
-Stretch = Annotated[float, Between(0.05, 60.0, "s")]
-
-
-class GroundStart(Strict):
-    """A start on the ground, with numbers that are drawn for each flight."""
-
-    stand_s: Annotated[tuple[Stretch, Stretch], Rising] = (1.0, 5.0)
-    """Range of the time at rest with stopped rotors [s]."""
-    spin_up_s: Annotated[tuple[Stretch, Stretch], Rising] = (0.5, 3.0)
-    """Range of the spin-up time of the rotors [s]."""
-    lift_off_s: Annotated[tuple[Stretch, Stretch], Rising] = (0.5, 1.5)
-    """Range of the time from lift-off to the motion of the flight [s]."""
-    slope_deg: Annotated[float, Between(0.0, 30.0, "°")] = 4.0
-    """Largest slope of the ground [deg]."""
+STAND_S, SPIN_UP_S, LIFT_OFF_S = (1.0, 5.0), (0.5, 3.0), (0.5, 1.5)
+"""Ranges of the time at rest with stopped rotors, of the spin-up time of the rotors, and of the time from
+lift-off to the motion of the flight [s]; each flight draws its own numbers."""
+SLOPE_DEG = 4.0
+"""Largest slope of the ground [deg]."""
 
 
 def start_on_ground(
-    spec: GroundStart, log: NDArray[np.void], rate_hz: float, seeds: Sequence[np.random.SeedSequence]
+    log: NDArray[np.void], rate_hz: float, seeds: Sequence[np.random.SeedSequence]
 ) -> NDArray[np.int64]:
     """Put the start on the ground before each flight, whose end falls away.
 
     Args:
-        spec: Of the start.
         log: Flights, (n, T) records of `quadsim.motion.rotors.state_dtype`; changed.
         rate_hz: Samples per second.
         seeds: One per flight.
@@ -49,19 +36,17 @@ def start_on_ground(
     """
     before = np.zeros(len(log), np.int64)
     for i, (flight, seed) in enumerate(zip(log, seeds, strict=True)):
-        rows = _start(spec, flight[0], rate_hz, np.random.default_rng(seed))[: len(flight)]
+        rows = _start(flight[0], rate_hz, np.random.default_rng(seed))[: len(flight)]
         before[i] = len(rows)
         flight[len(rows) :] = flight[: len(flight) - len(rows)].copy()
         flight[: len(rows)] = rows
     return before
 
 
-def _start(spec: GroundStart, first: np.void, rate_hz: float, rng: np.random.Generator) -> NDArray[np.void]:
+def _start(first: np.void, rate_hz: float, rng: np.random.Generator) -> NDArray[np.void]:
     """Samples before the first of a flight."""
-    stand, spin_up, lift_off = (
-        rng.uniform(*span) for span in (spec.stand_s, spec.spin_up_s, spec.lift_off_s)
-    )
-    slope, towards = np.radians(spec.slope_deg) * np.sqrt(rng.uniform()), rng.uniform(-np.pi, np.pi)
+    stand, spin_up, lift_off = (rng.uniform(*span) for span in (STAND_S, SPIN_UP_S, LIFT_OFF_S))
+    slope, towards = np.radians(SLOPE_DEG) * np.sqrt(rng.uniform()), rng.uniform(-np.pi, np.pi)
     t = np.arange(round((stand + spin_up + lift_off) * rate_hz)) / rate_hz
     share, rise = _smooth((t - stand - spin_up) / lift_off)
     share, rise = share[:, None], rise[:, None] / lift_off

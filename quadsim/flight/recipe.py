@@ -15,7 +15,6 @@ from ..imu.spec import ImuSpec, load_imu
 from ..trajectory.specs import Mix, Trajectory
 from ..vehicle import Randomisation, Vehicle, load_vehicle
 from ..wind import WindSpec
-from .ground import GroundStart
 from .hand_held import HandHeld
 
 
@@ -78,8 +77,8 @@ class Recipe(Strict):
     """Error of the roll and pitch that the controller receives."""
     hand_held: HandHeld | None = None
     """Motion by hand instead of a flight: an IMU without a vehicle."""
-    ground: GroundStart | None = None
-    """Ground phase before the flight; the same number of samples is dropped from its end."""
+    ground: bool = False
+    """Whether flights start at rest on sloping ground; the same number of samples is dropped from their end."""
     engine: Engine = "auto"
     """What integrates the motion: "mujoco", or "auto", its scheme for free flight, compiled."""
     warmup_s: Annotated[float, Between(0.0, 60.0, "s")] = 4.0

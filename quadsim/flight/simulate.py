@@ -52,8 +52,8 @@ def simulate_flights(
             loop.sense()  # the first sample is recorded, in its wind
         loop.follow(total - 1)
         end = _held(log)
-    if config.ground is not None:
-        before = start_on_ground(config.ground, log, rate_hz, children(seeds, GROUND))
+    if config.ground:
+        before = start_on_ground(log, rate_hz, children(seeds, GROUND))
         end = np.where(end < steps, np.minimum(end + before, steps), steps)
     flights = {name: log[name] for name in log.dtype.names or () if name != "ang_acc"}
     reasons = ["" if e == steps else f"diverged after {e / rate_hz:.2f} s" for e in end]
