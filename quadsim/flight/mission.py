@@ -99,7 +99,7 @@ class Mission(FlightLoop):
         )
         self._faults, self._flights = VehicleFaults(faults, self.plant), self.records["flight"]
         self._flights["min_cos_tilt"] = math.cos(math.radians(crash.tilt_deg))
-        self._flights["min_altitude"], self._flights["max_distance"] = crash.altitude, crash.distance
+        self._flights["min_altitude"], self._flights["max_distance"] = 0.0, crash.distance
         self.reset(**self._start(seeds, self.plans["target"][:, 0]))
         # a start beyond the limits has a sample's time to come back
         self._flights["cause"] = self._flights["crashed"] = self.crashed = FLYING

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from pydantic import ValidationError
 
-from ..config.ranges import Between, Coordinate, Distance, Engine, Position, RateDeg, Speed
+from ..config.ranges import Between, Distance, Engine, Position, RateDeg, Speed
 from ..config.toml import Model, Strict, describe, load_toml, preset_names
 from ..trajectory.specs import Hover, Trajectory
 from ..vehicle import Randomisation
@@ -35,12 +35,13 @@ class Start(Strict):
 
 
 class Crash(Strict):
-    """Limits of a flight. It crashes when one of them is exceeded; later samples do not count."""
+    """Limits of a flight. It crashes when one of them is exceeded, or when its centre of mass is below the ground.
+
+    The ground is at z = 0 in world axes. Samples after a crash do not count.
+    """
 
     tilt_deg: Annotated[float, Between(1.0, 180.0, "°")] = 75.0
     """Largest tilt [deg]; the controller commands at most 60°."""
-    altitude: Coordinate = 0.0
-    """Smallest height of the centre of mass, world z [m]."""
     distance: Distance = 10.0
     """Largest distance from the set-point [m]."""
 
