@@ -9,10 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from pydantic import ValidationError
 
-from ..config.ranges import steps_of
-from ..config.toml import describe
+from ..config.ranges import Between, steps_of
 from ..flight.recipe import Recipe
 from ..held_out import unreserved
 from ..runs.files import alone
@@ -22,6 +20,7 @@ from . import store as dataset_store
 from .reading import read_attributes, refuse_damaged
 from .store import Plan, Progress, partial_folder
 
+FLIGHTS, SEEDS = Between(1, 10_000_000), Between(0, 2**63 - 1)
 BATCH_FLIGHTS = 16  # more gain no speed
 BATCH_BYTES = 400e6  # memory that a worker may use for a batch,
 SAMPLE_BYTES = 600  # of which a sample of a flight takes this much while it is simulated
@@ -88,18 +87,13 @@ def generate(
 
 
 def _plan(config: Recipe, flights: int, duration_s: float, seed: int, rate_hz: float) -> Plan:
-    try:
-        return Plan(
-            quadsim_version=version("quadsim"),
-            seed=seed,
-            flights=flights,
-            steps=steps_of(duration_s, rate_hz),
-            rate_hz=rate_hz,
-            code=code_digest("quadsim.dataset.store"),
-            config=config,
-        )
-    except ValidationError as error:
-        raise ValueError(describe(error, Plan)) from error
+    FLIGHTS.of("flights", flights)
+    SEEDS.of("seed", seed)
+    if flights != int(flights):
+        raise ValueError(f"flights = {flights}: should be a whole number")
+    code = code_digest("quadsim.dataset.store")
+    steps = steps_of(duration_s, rate_hz)
+    return Plan(version("quadsim"), int(seed), int(flights), steps, float(rate_hz), code, config)
 
 
 def _make_way(plan: Plan, out: Path, overwrite: bool) -> bool:
@@ -113,7 +107,7 @@ def _make_way(plan: Plan, out: Path, overwrite: bool) -> bool:
         attributes = read_attributes(out)  # refuses to touch what is not a dataset
         if not overwrite:
             refuse_damaged(out)
-            found = {name: attributes[name] for name in Plan.model_fields}
+            found = {name: attributes[name] for name in plan.content}
             _refuse_other(plan, found | {"config": json.loads(found["config"])}, f"{out} holds")
             shutil.rmtree(folder, ignore_errors=True)
             return False
@@ -121,7 +115,7 @@ def _make_way(plan: Plan, out: Path, overwrite: bool) -> bool:
         if not (folder / "flights").is_dir():
             raise ValueError(f"{folder} is in the way and not from quadsim: move it, or choose another --out")
         text = dataset_store.read_plan(folder)
-        if text == plan.model_dump_json():
+        if text == json.dumps(plan.content):
             return True
         if text and not overwrite:
             _refuse_other(plan, json.loads(text), f"{out} is unfinished and holds")
@@ -132,9 +126,7 @@ def _make_way(plan: Plan, out: Path, overwrite: bool) -> bool:
 
 def _refuse_other(plan: Plan, other: dict[str, object], what: str) -> None:
     """Name the first setting in which a dataset differs from the plan, if there is one."""
-    wanted, found = (
-        pd.json_normalize(each).iloc[0].to_dict() for each in (plan.model_dump(mode="json"), other)
-    )
+    wanted, found = (pd.json_normalize(each).iloc[0].to_dict() for each in (plan.content, other))
     for key in sorted(wanted.keys() | found.keys(), key=lambda name: (name == "code", name)):
         if wanted.get(key) != found.get(key):
             differs = f"{key} is {found.get(key)}, not {wanted.get(key)}"

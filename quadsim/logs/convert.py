@@ -54,9 +54,11 @@ def convert(logs: Sequence[xr.Dataset], out: Path, piece_s: float = 20.0) -> Pat
         unknown = tuple(name for name in VARIABLES if name not in held)
         plan = Plan(
             quadsim_version=version("quadsim"),
+            seed=0,
             flights=len(pieces),
             steps=steps,
             rate_hz=rate_hz,
+            code="",
             config=Recorded(logs=names, piece_s=piece_s, unknown=unknown),
         )
         folder = partial_folder(out)

@@ -54,7 +54,7 @@ def test_a_dataset_whose_imu_is_unknown_is_exported_without_its_noise(source, tm
     del config["imu"]
     if kind == "recorded":
         unknown = ("position", "gyro_bias")
-        config = Recorded(logs=("a",), piece_s=1.0, unknown=unknown).model_dump(mode="json")
+        config = Recorded(logs=("a",), piece_s=1.0, unknown=unknown)._asdict()
     FORMATS[format](dataset.assign_attrs(config=json.dumps(config)), out, lambda *done: None)
     if format == "csv":
         mav = out / "flight_000" / "mav0"
