@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
-from ..config.ranges import Between, Engine
+from ..config.ranges import Between
 from ..config.toml import Model, Strict, load_toml, merged, parse
 from ..imu.spec import ImuSpec, load_imu
 from ..trajectory.specs import Mix, Trajectory
-from ..vehicle import Randomisation, Vehicle, load_vehicle
-from ..wind import WindSpec
+from ..vehicle import Vehicle, load_vehicle
 from .hand_held import HandHeld
+from .scenario import Surroundings
 
 
 class AttitudeError(Strict):
@@ -56,7 +56,7 @@ NamedImu: TypeAlias = Annotated[ImuSpec, _by_name(load_imu, ImuSpec)]
 """A shipped IMU, the path of a TOML file, or a table."""
 
 
-class Recipe(Strict):
+class Recipe(Surroundings):
     """A kind of flight to generate: a domain for training and testing, stored whole in every dataset."""
 
     description: str = Field(default="", exclude=True)
@@ -69,18 +69,12 @@ class Recipe(Strict):
     """A shipped IMU, or the path of a TOML file."""
     trajectory: Trajectory = Mix()
     """What to fly."""
-    wind: tuple[WindSpec, ...] = ()
-    """Winds, added up."""
-    randomisation: Randomisation = Randomisation()
-    """Ranges of the parameters of vehicle, IMU and wind, which are drawn for each flight."""
     attitude_error: AttitudeError = AttitudeError()
     """Error of the roll and pitch that the controller receives."""
     hand_held: HandHeld | None = None
     """Motion by hand instead of a flight: an IMU without a vehicle."""
     ground: bool = False
     """Whether flights start at rest on sloping ground; the same number of samples is dropped from their end."""
-    engine: Engine = "auto"
-    """What integrates the motion: "mujoco", or "auto", its scheme for free flight, compiled."""
     warmup_s: Annotated[float, Between(0.0, 60.0, "s")] = 4.0
     """Time that is simulated before the recording, so that flights begin in motion [s]."""
 

@@ -46,7 +46,18 @@ class Crash(Strict):
     """Largest distance from the set-point [m]."""
 
 
-class Scenario(Strict):
+class Surroundings(Strict):
+    """What recipes and scenarios have in common."""
+
+    wind: tuple[WindSpec, ...] = ()
+    """Winds, added up."""
+    randomisation: Randomisation = Randomisation()
+    """Ranges of the parameters of vehicle, IMU, wind and delay, which are drawn for each flight."""
+    engine: Engine = "auto"
+    """What integrates the motion: "mujoco", or "auto", its scheme for free flight, compiled."""
+
+
+class Scenario(Surroundings):
     """A situation in flight, which can be simulated with any estimator and any number of seeds."""
 
     description: str
@@ -65,14 +76,8 @@ class Scenario(Strict):
     """Source of position, velocity and yaw: a shipped external sensor, or the path of a TOML file."""
     contact: bool = False
     """Whether the ground can be touched, at five times the cost; otherwise, touching it is a crash."""
-    engine: Engine = "auto"
-    """What integrates the motion: "mujoco", or "auto", its scheme for free flight, compiled."""
     trajectory: Trajectory = Hover()
     """The set-points."""
-    wind: tuple[WindSpec, ...] = ()
-    """Winds, added up."""
-    randomisation: Randomisation = Randomisation()
-    """Ranges of the parameters of vehicle, IMU, wind and delay, which are drawn for each flight."""
     start: Start = Start()
     """How a flight begins."""
     faults: tuple[Fault, ...] = ()
