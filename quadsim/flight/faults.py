@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from pydantic import Field
 
 from ..config.ranges import Between, Duration, Force, ForceVector, Frequency, Instant, RateDeg, Share
@@ -17,7 +17,7 @@ from ..config.toml import Strict
 from ..estimator import Readings
 from ..imu.spec import ImuSpec
 from ..seeding import Seed, child, vehicle_seeds
-from .vehicle_faults import Event, LeverArm, PayloadDrop, VehicleFault
+from .vehicle_faults import LeverArm, PayloadDrop, Timed, VehicleFault
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
@@ -28,13 +28,6 @@ Change: TypeAlias = Callable[[Array, Counts], None]
 Randoms = list[np.random.Generator]
 """One for each vehicle."""
 BiasDeg: TypeAlias = Annotated[float, Between(-4000.0, 4000.0, "°/s")]
-
-
-class Lasting(Strict):
-    """A fault that stays."""
-
-    at_s: Instant = 0.0
-    """Start time [s]."""
 
 
 class OnAxes(Strict):
@@ -51,39 +44,30 @@ class OnSensor(OnAxes):
     """Affected sensor."""
 
 
-def _added(gyro_deg: ArrayLike, accel: ArrayLike, after: int, length: float = 1.0) -> Change:
-    """Add to the biases, in equal parts at the `length` samples after the sample `after`."""
-    bias = np.concatenate([np.radians(gyro_deg), accel])
+class Bias(Timed):
+    """The biases change: at once, or gradually as while a sensor warms up."""
 
-    def change(imu: Array, k: Counts) -> None:
-        imu += np.clip((k - after) / length, 0.0, 1.0)[:, None] * bias
-
-    return change
-
-
-class GyroBiasStep(Event):
-    """The gyroscope's bias jumps."""
-
-    kind: Literal["gyro-bias-step"]
-    bias_deg: tuple[BiasDeg, BiasDeg, BiasDeg]
-    """Change of the bias, body axes [deg/s]."""
+    kind: Literal["bias"]
+    gyro_deg: tuple[BiasDeg, BiasDeg, BiasDeg] = (0.0, 0.0, 0.0)
+    """Change of the gyroscope's bias, body axes [deg/s]."""
+    accel: ForceVector = (0.0, 0.0, 0.0)
+    """Change of the accelerometer's bias, body axes [m/s²]."""
+    length_s: Instant = 0.0
+    """Duration of the change [s]; 0 for a step."""
 
     def _change(self, rate_hz: float, randoms: Randoms) -> Change:
-        return _added(self.bias_deg, np.zeros(3), round(self.at_s * rate_hz) - 1)
+        change_of_all = np.concatenate([np.radians(self.gyro_deg), self.accel])
+        start, length = round(self.at_s * rate_hz), self.length_s * rate_hz
+        if length == 0.0:  # whole at the first sample
+            start, length = start - 1, 1.0
+
+        def change(imu: Array, k: Counts) -> None:
+            imu += np.clip((k - start) / length, 0.0, 1.0)[:, None] * change_of_all
+
+        return change
 
 
-class AccelBiasStep(Event):
-    """The accelerometer's bias jumps."""
-
-    kind: Literal["accel-bias-step"]
-    bias: ForceVector
-    """Change of the bias, body axes [m/s²]."""
-
-    def _change(self, rate_hz: float, randoms: Randoms) -> Change:
-        return _added(np.zeros(3), self.bias, round(self.at_s * rate_hz) - 1)
-
-
-class Vibration(OnAxes, Lasting):
+class Vibration(OnAxes, Timed):
     """A vibration of the whole sensor, its phases drawn for each seed; above half the rate it aliases."""
 
     kind: Literal["vibration"]
@@ -105,7 +89,7 @@ class Vibration(OnAxes, Lasting):
         return change
 
 
-class Dropout(OnSensor, Lasting):
+class Dropout(OnSensor, Timed):
     """Samples are lost at random, each dropout for a fixed time. The estimator receives NaN."""
 
     kind: Literal["dropout"]
@@ -128,7 +112,7 @@ class Dropout(OnSensor, Lasting):
         return change
 
 
-class Stuck(OnSensor, Event):
+class Stuck(OnSensor, Timed):
     """The sensor repeats its last sample for a while."""
 
     kind: Literal["stuck"]
@@ -169,21 +153,6 @@ class Saturation(OnAxes):
         return change
 
 
-class BiasRamp(Lasting):
-    """The biases drift, as while a sensor warms up."""
-
-    kind: Literal["bias-ramp"]
-    gyro_deg: tuple[BiasDeg, BiasDeg, BiasDeg] = (0.0, 0.0, 0.0)
-    """Change of the gyroscope's bias at the end, body axes [deg/s]."""
-    accel: ForceVector = (0.0, 0.0, 0.0)
-    """Change of the accelerometer's bias at the end, body axes [m/s²]."""
-    length_s: Duration = 10.0
-    """Duration [s]."""
-
-    def _change(self, rate_hz: float, randoms: Randoms) -> Change:
-        return _added(self.gyro_deg, self.accel, round(self.at_s * rate_hz), self.length_s * rate_hz)
-
-
 class Delay(OnSensor):
     """Samples are delayed."""
 
@@ -203,9 +172,7 @@ class Delay(OnSensor):
         return change
 
 
-SensorFault: TypeAlias = (
-    GyroBiasStep | AccelBiasStep | BiasRamp | Vibration | Dropout | Stuck | Saturation | Delay
-)
+SensorFault: TypeAlias = Bias | Vibration | Dropout | Stuck | Saturation | Delay
 Fault: TypeAlias = Annotated[SensorFault | VehicleFault, Field(discriminator="kind")]
 
 

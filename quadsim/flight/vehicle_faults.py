@@ -6,17 +6,17 @@ from typing import Annotated, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..config.ranges import Arm, Between, Duration, Instant, Mass, Share
+from ..config.ranges import Arm, Between, Instant, Mass, Share
 from ..config.toml import Strict
 from ..plant import Plant
 from ..vehicle import MAX_ROTORS
 
 
-class Event(Strict):
-    """A fault that happens at one instant."""
+class Timed(Strict):
+    """A fault that begins in flight."""
 
-    at_s: Instant = 5.0
-    """Time of the event [s]."""
+    at_s: Instant
+    """Start time [s]."""
 
 
 class LeverArm(Strict):
@@ -27,7 +27,7 @@ class LeverArm(Strict):
     """Displacement in addition to the IMU's own `lever_arm`, in body axes [m]."""
 
 
-class PayloadDrop(Event):
+class PayloadDrop(Timed):
     """The vehicle starts with a payload that the controller does not know, and drops it."""
 
     kind: Literal["payload-drop"]
@@ -35,26 +35,16 @@ class PayloadDrop(Event):
     """Mass of the payload [kg]."""
 
 
-class RotorLoss(Event):
-    """From some time on, one rotor produces less thrust, for example because of a chipped blade."""
+class ThrustLoss(Timed):
+    """One rotor or all produce less thrust, for example because of a chipped blade or an empty battery."""
 
-    kind: Literal["rotor-loss"]
-    rotor: Annotated[int, Between(0, MAX_ROTORS - 1)] = 0
-    """Index of the rotor, in the order of the vehicle's file."""
-    effect: Share = 0.7
-    """Remaining thrust, as a share of that of an intact rotor."""
-
-
-class LowBattery(Strict):
-    """The thrust of all rotors fades with the battery."""
-
-    kind: Literal["low-battery"]
-    effect: Share = 0.7
+    kind: Literal["thrust-loss"]
+    rotor: Annotated[int, Between(0, MAX_ROTORS - 1)] | None = None
+    """Index of the rotor, in the order of the vehicle's file; default: all rotors."""
+    effect: Share
     """Remaining share of the thrust at the end."""
-    at_s: Instant = 2.0
-    """When it begins to fade [s]."""
-    fade_s: Duration = 10.0
-    """Duration of the fading [s]."""
+    fade_s: Instant = 0.0
+    """Duration of the fading [s]; 0 for a sudden loss."""
 
 
 class GroundEffect(Strict):
@@ -67,7 +57,7 @@ class GroundEffect(Strict):
     kind: Literal["ground-effect"]
 
 
-VehicleFault: TypeAlias = PayloadDrop | RotorLoss | LowBattery | GroundEffect | LeverArm
+VehicleFault: TypeAlias = PayloadDrop | ThrustLoss | GroundEffect | LeverArm
 
 
 class VehicleFaults:
@@ -81,11 +71,11 @@ class VehicleFaults:
         """
         rotors = plant.rotor_vel.shape[1]
         for fault in faults:
-            if isinstance(fault, RotorLoss) and fault.rotor >= rotors:
+            if isinstance(fault, ThrustLoss) and (fault.rotor or 0) >= rotors:
                 raise ValueError(f"faults: rotor = {fault.rotor}: this vehicle has rotors 0 to {rotors - 1}")
         self._plant = plant
         self._payloads = [fault for fault in faults if isinstance(fault, PayloadDrop)]
-        self._rotors = [fault for fault in faults if isinstance(fault, RotorLoss | LowBattery | GroundEffect)]
+        self._rotors = [fault for fault in faults if isinstance(fault, ThrustLoss | GroundEffect)]
         self.any = bool(self._payloads or self._rotors)
         self._empty = plant.vehicles["mass"].copy()
         self._mass = self._empty.copy()
@@ -110,12 +100,12 @@ class VehicleFaults:
             effect = self._plant.rotor_effect
             effect[:] = 1.0
             for fault in self._rotors:
-                if isinstance(fault, RotorLoss):
-                    effect[time >= fault.at_s, fault.rotor] *= fault.effect
-                elif isinstance(fault, GroundEffect):
+                if isinstance(fault, GroundEffect):
                     radius = self._plant.vehicle.frame.prop_radius
                     height = np.maximum(self._plant.position[:, 2], radius / 2)
                     effect /= (1.0 - (radius / (4.0 * height)) ** 2)[:, None]
                 else:
-                    faded = np.clip((time - fault.at_s) / fault.fade_s, 0.0, 1.0)
-                    effect *= 1.0 - (1.0 - fault.effect) * faded[:, None]
+                    age = time - fault.at_s
+                    faded = np.clip(age / fault.fade_s, 0.0, 1.0) if fault.fade_s else age >= 0.0
+                    rotors = slice(None) if fault.rotor is None else [fault.rotor]
+                    effect[:, rotors] *= 1.0 - (1.0 - fault.effect) * faded[:, None]

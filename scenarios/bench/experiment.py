@@ -46,7 +46,7 @@ class Sweep(Strict):
     fields: dict[str, Any]
     """What replaces those of the scenario at the level 1."""
     scaled: str
-    """The number or vector in them that is multiplied by the level, as "faults.0.bias_deg"."""
+    """The number or vector in them that is multiplied by the level, as "faults.0.gyro_deg"."""
     levels: tuple[Annotated[float, Between(0.0, 1e6)], ...]
     """From the least to the largest."""
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadsim.estimator import AttitudeEstimator, Readings
-from quadsim.flight.faults import AccelBiasStep, BiasRamp, GyroBiasStep, sensor_faults
+from quadsim.flight.faults import Bias, sensor_faults
 from quadsim.flight.mission import Mission
 from quadsim.runs.compiled import njit
 from quadsim.seeding import vehicle_seeds
@@ -74,7 +74,7 @@ def _fly(mission: Mission, seed: int, first: int, every_sample: bool) -> Flown:
     log, signals = np.zeros((mission.steps, mission.n), log_dtype(rotors)), []
     last_command = mission.controller.rotor_vel_cmd.copy()
     end = np.full(mission.n, mission.steps)
-    faults = [f for f in mission.scenario.faults if isinstance(f, GyroBiasStep | BiasRamp | AccelBiasStep)]
+    faults = [f for f in mission.scenario.faults if isinstance(f, Bias)]
     add_bias = sensor_faults(faults, 1, mission.rate_hz, 0)
     for k in range(mission.steps):
         mission.step()

@@ -248,7 +248,7 @@ def test_what_is_refused_before_any_work_shows_one_line_and_no_bar(quadsim):
 def test_a_fault_after_the_end_of_the_flight_is_warned_of(quadsim):
     code, out, err = quadsim("fly", "gyro-bias-step", "--estimator", "mahony", "--duration", 0.5)
     assert code == 0
-    assert "gyro-bias-step ends at 0.5 s, before its fault gyro-bias-step at 6 s" in (out + err)
+    assert "gyro-bias-step ends at 0.5 s, before its fault bias at 6 s" in (out + err)
 
 
 def test_a_flight_and_estimators_on_its_log_are_written_for_viewers(printed, tmp_path):

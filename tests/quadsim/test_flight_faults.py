@@ -7,7 +7,7 @@ from missions import HOVER, flown, with_faults
 from quadsim.estimator import Readings
 from quadsim.flight.faults import displaced, sensor_faults
 from quadsim.flight.mission import Mission
-from quadsim.flight.vehicle_faults import RotorLoss
+from quadsim.flight.vehicle_faults import ThrustLoss
 from quadsim.imu.spec import load_imu
 from quadsim.seeding import vehicle_seeds
 
@@ -25,7 +25,7 @@ def corrupted(fault: dict, samples: int, n: int = 1, value: float = 1.0) -> np.n
 
 
 def test_bias_step_adds_to_its_sensor_from_its_time_on():
-    out = corrupted({"kind": "gyro-bias-step", "bias_deg": (0.0, 180.0, 0.0), "at_s": 0.03}, 5, value=0.0)
+    out = corrupted({"kind": "bias", "gyro_deg": (0.0, 180.0, 0.0), "at_s": 0.03}, 5, value=0.0)
     ideal = np.arange(5.0)[:, None, None] * np.ones((1, 1, 6))
     np.testing.assert_allclose(out[:3], ideal[:3])
     np.testing.assert_allclose((out - ideal)[3:, 0, :3], [[0.0, np.pi, 0.0]] * 2)
@@ -33,7 +33,7 @@ def test_bias_step_adds_to_its_sensor_from_its_time_on():
 
 
 def test_a_bias_ramp_grows_evenly_and_then_stays():
-    ramp = {"kind": "bias-ramp", "gyro_deg": [10.0, 0, 0], "accel": [0, 0, 2.0], "at_s": 0.1, "length_s": 0.2}
+    ramp = {"kind": "bias", "gyro_deg": [10.0, 0, 0], "accel": [0, 0, 2.0], "at_s": 0.1, "length_s": 0.2}
     change = corrupted(ramp, 40)[:, 0] - (1.0 + np.arange(40))[:, None]
     share = np.clip((np.arange(40) - 10) / 20, 0, 1)
     np.testing.assert_allclose(change[:, 0], np.radians(10.0) * share, atol=1e-12)
@@ -81,12 +81,12 @@ def test_saturation_clips():
 
 ON_IMU = (
     {"kind": "stuck", "at_s": 0.02, "length_s": 1.0},
-    {"kind": "dropout", "probability": 1.0},
+    {"kind": "dropout", "probability": 1.0, "at_s": 0.0},
     {"kind": "delay", "delay_s": 0.02},
 )
 ON_AXES = (
     *ON_IMU,
-    {"kind": "vibration", "frequency_hz": 7.3, "accel": 2.0, "gyro_deg": 90.0},
+    {"kind": "vibration", "frequency_hz": 7.3, "accel": 2.0, "gyro_deg": 90.0, "at_s": 0.0},
     {"kind": "saturation", "accel": 3.0, "gyro_deg": 100.0},
 )
 
@@ -123,7 +123,7 @@ def test_faults_of_two_sensors_do_not_disturb_each_other():
 
 
 def test_dropouts_come_at_their_rate_and_last_their_time():
-    fault = {"kind": "dropout", "probability": 0.1, "length_s": 0.03}
+    fault = {"kind": "dropout", "probability": 0.1, "length_s": 0.03, "at_s": 0.0}
     lost = np.isnan(corrupted(fault, 2000, n=4)).all(axis=2)
     starts = np.diff(lost.astype(int), axis=0) == 1
     assert starts.sum() == pytest.approx(0.1 * (~lost).sum(), rel=0.15)
@@ -161,13 +161,17 @@ def test_payload_is_carried_and_then_dropped():
 
 def test_a_rotor_that_the_vehicle_lacks_cannot_be_lost():
     with pytest.raises(ValueError, match="rotor = 4: this vehicle has rotors 0 to 3"):
-        flown(HOVER.model_copy(update={"faults": (RotorLoss(kind="rotor-loss", rotor=4),)}))
+        flown(
+            HOVER.model_copy(
+                update={"faults": (ThrustLoss(kind="thrust-loss", rotor=4, effect=0.5, at_s=1.0),)}
+            )
+        )
 
 
 def test_rotors_fade_and_break_as_told():
     faults = [
-        {"kind": "low-battery", "effect": 0.8, "at_s": 0.0, "fade_s": 0.5},
-        {"kind": "rotor-loss", "rotor": 2, "effect": 0.5, "at_s": 0.9},
+        {"kind": "thrust-loss", "effect": 0.8, "at_s": 0.0, "fade_s": 0.5},
+        {"kind": "thrust-loss", "rotor": 2, "effect": 0.5, "at_s": 0.9},
     ]
     mission = flown(with_faults(*faults))
     np.testing.assert_allclose(mission.plant.rotor_effect, [[0.8, 0.8, 0.4, 0.8]] * 2)

@@ -22,7 +22,7 @@ from quadsim.seeding import vehicle_seeds
 from quadsim.trajectory.specs import Hover
 from quadsim.vehicle import load_vehicle, with_drag
 
-FAULT = "[[faults]]\nkind = "
+FAULT = "[[faults]]\nat_s = 1.0\nkind = "
 
 
 @pytest.mark.parametrize("name", scenario_names())
@@ -39,15 +39,18 @@ def test_every_shipped_scenario_loads_and_explains_its_numbers(name):
         ("duraton_s = 3.0", 'unknown key "duraton_s"; did you mean "duration_s"'),
         ("[start]\ntilt = 20.0", 'unknown key "start.tilt"; did you mean "tilt_deg"'),
         (FAULT + '"gremlin"', "gremlin"),
-        (FAULT + '"rotor-loss"\nrotor = 12', r"rotor = 12"),
+        (FAULT + '"thrust-loss"\neffect = 0.5\nrotor = 12', r"rotor = 12"),
         (
             FAULT + '"stuck"\nsensor = "gyroscope"',
             r"faults\[0\]\.sensor = .gyroscope.: should be 'both', 'gyro' or 'accel'",
         ),
         (FAULT + '"stuck"\naxes = "zx"', r"faults\[0\]\.axes = .zx.: should be 'x', .* or 'xyz'"),
         (FAULT + '"stuck"\naxes = ""', r"faults\[0\]\.axes = ..: should be"),
-        (FAULT + '"saturation"\naccel = 3.0\nsensor = "gyro"', r"unknown key .faults\[0\]\.sensor"),
-        (FAULT + '"rotor-loss"\naxes = "x"', r"unknown key .faults\[0\]\.axes"),
+        (
+            '[[faults]]\nkind = "saturation"\naccel = 3.0\nsensor = "gyro"',
+            r"unknown key .faults\[0\]\.sensor",
+        ),
+        (FAULT + '"thrust-loss"\naxes = "x"', r"unknown key .faults\[0\]\.axes"),
     ],
 )
 def test_mistakes_are_named_with_file_and_key(toml, message):
@@ -160,7 +163,7 @@ def test_a_flight_that_was_restarted_is_new():
 
 def test_a_restarted_flight_has_its_rotors_and_its_mass_again():
     faults = [
-        {"kind": "low-battery", "effect": 0.5, "at_s": 0.0, "fade_s": 0.1},
+        {"kind": "thrust-loss", "effect": 0.5, "at_s": 0.0, "fade_s": 0.1},
         {"kind": "payload-drop", "mass": 0.2, "at_s": 9.0},
     ]
     mission = flown(with_faults(*faults), 2)

@@ -110,7 +110,7 @@ def test_a_sweep_over_what_is_no_number_of_its_fields_is_refused(scaled):
 BREAKING = load_experiment("breaking-points")
 SIZES = {
     "constant wind": lambda s: np.linalg.norm(s.wind[0].velocity),
-    "step of the gyro bias": lambda s: np.linalg.norm(s.faults[0].bias_deg),
+    "step of the gyro bias": lambda s: np.linalg.norm(s.faults[0].gyro_deg),
     "lost samples": lambda s: s.faults[0].probability,
     "late samples": lambda s: s.faults[0].delay_s,
     "unknown initial tilt": lambda s: s.start.tilt_deg,

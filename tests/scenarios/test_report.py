@@ -208,7 +208,7 @@ def test_panels_show_the_signals_with_units_and_the_fault(page):
         "rotor commands [rad/s]", "roll [°]", "pitch [°]", "inclination error [°]",
     ]  # fmt: skip
     assert "± σ" in page.locator("#inside-note").inner_text()
-    assert page.evaluate("data.faults.calm") == [["gyro bias step", 1.0, 2.0]]
+    assert page.evaluate("data.faults.calm") == [["bias", 1.0, 2.0]]
     page.select_option("#inside", "ekf")
     page.evaluate("delete cell('calm', 'ekf').flight.gyro_x; redraw()")
     assert "quadsim fly calm --estimator ekf" in page.locator("#inside-note").inner_text()

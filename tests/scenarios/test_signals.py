@@ -44,8 +44,8 @@ def test_signals_survive_packing_and_the_file_of_a_cell_and_those_without_a_valu
 def test_true_bias_is_that_of_the_imu_and_of_the_fault():
     mission, flights = flown("mahony")
     bias = vector(flights.signals, "bias")
-    np.testing.assert_allclose(bias[26] - bias[23], STEP.bias_deg, atol=0.02)  # but for the random walk
-    np.testing.assert_allclose(np.radians(bias[-1] - STEP.bias_deg), mission.imu.biases["gyro"][0], atol=1e-4)
+    np.testing.assert_allclose(bias[26] - bias[23], STEP.gyro_deg, atol=0.02)  # but for the random walk
+    np.testing.assert_allclose(np.radians(bias[-1] - STEP.gyro_deg), mission.imu.biases["gyro"][0], atol=1e-4)
 
 
 def test_mean_reading_of_a_hover_is_the_true_bias():
@@ -71,7 +71,7 @@ def test_spans_of_faults_end_with_the_flight():
     stuck = Stuck(kind="stuck", at_s=5.0, length_s=0.5, every_s=4.0)
     payload = PayloadDrop(kind="payload-drop", mass=0.1, at_s=3.0)
     assert fault_spans([STEP, stuck, payload], 9.2) == [
-        ("gyro bias step", 1.0, 9.2),
+        ("bias", 1.0, 9.2),
         ("stuck", 5.0, 5.5),
         ("stuck", 9.0, 9.2),
         ("payload", 0.0, 3.0),

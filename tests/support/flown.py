@@ -5,7 +5,7 @@ import base64
 import numpy as np
 import pandas as pd
 
-from quadsim.flight.faults import GyroBiasStep
+from quadsim.flight.faults import Bias
 from quadsim.flight.scenario import Scenario
 from quadsim.wind import Constant
 from scenarios.bench.cell import Cell, FlightSettings
@@ -19,7 +19,7 @@ WINDY = Scenario(
     description="",
     duration_s=2.0,
     wind=(Constant(kind="constant", velocity=(3.0, 1.0, 0.0)),),
-    faults=(GyroBiasStep(kind="gyro-bias-step", bias_deg=(3.0, -2.0, 0.0), at_s=1.0),),
+    faults=(Bias(kind="bias", gyro_deg=(3.0, -2.0, 0.0), at_s=1.0),),
 )
 
 
