@@ -1,12 +1,10 @@
 """Conditions of flights, as set by `--set`: models, which take long to import and no `--help` needs."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 from ..config.ranges import Between, Engine
-from ..config.toml import Strict, parse
-from .options import fields_of
+from ..config.toml import Strict
 
 
 class Sampling(Strict):
@@ -48,29 +46,8 @@ class Filters(Strict):
     """For ekf-drag, a shipped name or a TOML file; None for the dataset's, and for logs none."""
 
 
-def filters_of(texts: Sequence[str] | None) -> Filters:
-    """Parameters of filters given by `--set`."""
-    return parse(fields_of(texts), Filters, "--set")
-
-
 class Recordings(Strict):
     """What `--set` may say of a task: nothing that changes it."""
 
-    broad: str | None = None
+    broad: Path | None = None
     """Folder of the trials of BROAD, as its authors publish them."""
-
-
-def recordings_of(texts: Sequence[str] | None) -> Path | None:
-    """The folder of recordings given by `--set`."""
-    folder = parse(fields_of(texts), Recordings, "--set").broad
-    return None if folder is None else Path(folder)
-
-
-def conditions_of(texts: Sequence[str] | None) -> Conditions:
-    """Conditions given by `--set`; the error for an unknown name lists the valid ones."""
-    return parse(fields_of(texts), Conditions, "--set")
-
-
-def flight_conditions_of(texts: Sequence[str] | None) -> FlightConditions:
-    """Conditions given by `--set` of `fly`."""
-    return parse(fields_of(texts), FlightConditions, "--set")

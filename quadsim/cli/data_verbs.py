@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from ..runs.console import pool_of, print_table, progress_bar, say
-from .options import Force, Imu, LearningSeed, Mount, Pool, Seed, Truth, fields_of
+from .options import Force, Imu, LearningSeed, Mount, Pool, Seed, Truth, fields_of, settings_of
 
 
 def generate(
@@ -151,11 +151,9 @@ def export(
 def _import(source: list[str], out: Path, format: str | None, set_: list[str] | None, seed: int) -> None:
     from estimators.analysis.imported import ImportSettings, import_nir
 
-    from ..config.toml import parse
-
     if len(source) > 1 or format is not None:
         raise ValueError(f"{source[0]}: one NIR file is converted for the chip, without --format")
-    report = import_nir(source[0], out, parse(fields_of(set_), ImportSettings, "--set"), seed)
+    report = import_nir(source[0], out, settings_of(set_, ImportSettings), seed)
     print_table([map(_short, each.values()) for each in report["layers"]], [*report["layers"][0]])
     print_table((name, _short(each)) for name, each in report.items() if not isinstance(each, (dict, list)))
     same = "no neuron spikes on this input"

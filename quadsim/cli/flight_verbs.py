@@ -8,7 +8,7 @@ import typer
 
 from ..runs.console import progress_bar, say
 from ..runs.files import alone
-from .options import OWN_CONTROLLER, ConditionFields, Duration, Mcap, Pool, Rerun, Seed, Workers
+from .options import OWN_CONTROLLER, ConditionFields, Duration, Mcap, Pool, Rerun, Seed, Workers, settings_of
 
 
 def fly(
@@ -61,7 +61,7 @@ def fly(
     from scenarios.verbs import warn
 
     from ..pictures.timeline import viewer_files
-    from .conditions import flight_conditions_of
+    from .conditions import FlightConditions
 
     if autopilot is None:
         estimator = contender(estimator or "att-snn-loihi", controller)
@@ -71,7 +71,7 @@ def fly(
         raise ValueError(f"--autopilot {autopilot} has its own estimator and controller: leave them out")
     else:
         estimator = autopilot
-    given = flight_conditions_of(set_)
+    given = settings_of(set_, FlightConditions)
     if autopilot and given.tuning:
         raise ValueError(f"--set tuning is for quadsim's filters, and --autopilot {autopilot} has its own")
     parts = (scenario, estimator, *filter(None, (given.vehicle, given.imu, given.tuning)))
@@ -175,7 +175,7 @@ def bench(
     """
     from scenarios.verbs import run_bench, run_entries
 
-    from .conditions import conditions_of, recordings_of
+    from .conditions import Conditions, Recordings
 
     if task is not None:
         others = {
@@ -190,9 +190,9 @@ def bench(
                 raise ValueError(f"{name} is not for --task, which says it itself")
         if not estimator:
             raise ValueError("--task: give at least one --estimator")
-        run_entries(out, task, estimator, recordings_of(set_), workers)
+        run_entries(out, task, estimator, settings_of(set_, Recordings).broad, workers)
         return
-    given = conditions_of(set_)
+    given = settings_of(set_, Conditions)
     run_bench(
         out, experiment, scenario, estimator, controller or [], given.changes(duration),
         seeds=seeds, seed=seed, rate_hz=given.rate, tuning=given.tuning, workers=workers,

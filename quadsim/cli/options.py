@@ -5,9 +5,12 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from ..config.toml import Model
 
 Seed = Annotated[int, typer.Option(min=0, help="Seed of all random numbers.")]
 
@@ -71,6 +74,13 @@ OWN_CONTROLLER = (
     "Attitude controller: cascaded, a spiking controller's weights, or your own file.py:make, a function of "
     "sample rate and vehicle. Other controllers than cascaded replace its attitude and body-rate loops."
 )
+
+
+def settings_of(texts: Sequence[str] | None, model: type[Model]) -> Model:
+    """Settings given by --set, as a model; the error for an unknown name lists the valid ones."""
+    from ..config.toml import parse
+
+    return parse(fields_of(texts), model, "--set")
 
 
 def fields_of(texts: Sequence[str] | None, *options: str) -> dict[str, object]:

@@ -7,7 +7,7 @@ import typer
 
 from ..runs.console import print_table, progress_bar, say
 from ..runs.files import alone
-from .options import Force, Mcap, Mount, Rerun, Seed, Workers
+from .options import Force, Mcap, Mount, Rerun, Seed, Workers, settings_of
 
 
 def evaluate(
@@ -61,9 +61,9 @@ def evaluate(
 
     Example: quadsim evaluate --logs flight.ulg --estimator imm --rerun flight.rrd
     """
-    from .conditions import filters_of
+    from .conditions import Filters
 
-    tuning, vehicle = filters_of(set_).tuning, filters_of(set_).vehicle
+    given = settings_of(set_, Filters)
     if (data is None) == (not logs):
         raise ValueError("one of --data and --logs is required")
     if (rerun or mcap) and len(logs or ()) != 1:
@@ -78,7 +78,15 @@ def evaluate(
         # of numbers that no sensor has, which are refused
         with alone(out), np.errstate(over="ignore", invalid="ignore"), viewer_files(rerun, mcap) as show:
             evaluate_logs(
-                logs, out, estimator, tuning, vehicle, within_deg=within, mount=mount, force=force, show=show
+                logs,
+                out,
+                estimator,
+                given.tuning,
+                given.vehicle,
+                within_deg=within,
+                mount=mount,
+                force=force,
+                show=show,
             )
         return
     if mount is not None:
@@ -87,7 +95,7 @@ def evaluate(
     from scenarios.report.evaluation import evaluate_dataset
 
     with alone(out):
-        evaluate_dataset(data, out, estimator, tuning, vehicle, seed=seed)
+        evaluate_dataset(data, out, estimator, given.tuning, given.vehicle, seed=seed)
 
 
 def paper(

@@ -1,7 +1,5 @@
 """Domain randomisation, in environments and datasets, and other vehicles in the environment."""
 
-import copy
-
 import gymnasium
 import numpy as np
 import pytest
@@ -119,31 +117,6 @@ def test_a_payload_comes_on_top_of_each_vehicles_own_mass():
         assert (mission.plant.vehicles["mass"] != own).all()
 
 
-HEXAROTOR = changed(WINDY, {"vehicle": "hexarotor"})
-
-
-@pytest.mark.parametrize(
-    ("scenario", "level", "width"), [(WINDY, "rate", 4), (HEXAROTOR, "rotor", 6), (HEXAROTOR, "attitude", 4)]
-)
-def test_randomised_batches_give_the_numbers_of_single_environments_through_restarts(scenario, level, width):
-    given = {"estimator": "mahony", "scenario": scenario, "level": level, "randomisation": EVERY}
-    batch = gymnasium.make_vec(ID, 2, **given)
-    singles = [gymnasium.make(ID, **given) for _ in range(2)]
-    assert batch.single_action_space.shape == singles[0].action_space.shape == (width,)
-    seen, _ = batch.reset(seed=4)
-    np.testing.assert_array_equal(seen, [env.reset(seed=4 + i)[0] for i, env in enumerate(singles)])
-    random = np.random.default_rng(0)
-    for step in range(1, 50):
-        action = random.uniform(-0.1, 0.1, (2, width))
-        seen, *_, info = batch.step(action)
-        if step % 21:
-            expected = [env.step(each)[0] for env, each in zip(singles, action, strict=True)]
-        else:
-            expected = [env.reset()[0] for env in singles]
-        np.testing.assert_array_equal(seen, expected)
-    assert info["rotor_vel"].shape == (2, len(load_vehicle(scenario.vehicle).rotors))
-
-
 def test_a_hexarotor_hovers_on_commanded_rotor_speeds():
     calm = changed(load_scenario("hover"), {"vehicle": "hexarotor", "external": "ideal"})
     env = gymnasium.make(ID, scenario=calm, level="rotor")
@@ -151,8 +124,6 @@ def test_a_hexarotor_hovers_on_commanded_rotor_speeds():
     for _ in range(100):
         seen, *_ = env.step(np.zeros(6))
     assert np.abs(seen[:6]).max() < 1e-3
-    with pytest.raises(ValueError, match=r"shape \(4,\); it must be \(6,\)"):
-        env.step(np.zeros(4))
 
 
 def test_reset_randomises_until_the_next_reset():
@@ -194,31 +165,3 @@ def test_a_recipe_spreads_the_imu_and_the_wind_of_its_flights():
     np.testing.assert_allclose(factor, np.broadcast_to(factor[:, :1, :1], factor.shape))
     with pytest.raises(ValueError, match="a dataset has no external sensor"):
         changed(base, {"randomisation": {"delay": 0.5}})
-
-
-@pytest.mark.parametrize("options", [[1], "hover", 3])
-def test_options_that_are_no_dictionary_are_refused(options):
-    with pytest.raises(ValueError, match="a dictionary is allowed"):
-        gymnasium.make(ID).unwrapped.reset(options=options)
-
-
-@pytest.mark.parametrize(
-    "action",
-    [[10**400] * 4, np.zeros(4, complex), np.zeros(4, "m8[s]"), ["0"] * 4, [None] * 4],
-    ids=["large", "complex", "times", "text", "none"],
-)
-def test_actions_that_are_not_real_numbers_are_refused(action):
-    env = gymnasium.make(ID).unwrapped
-    env.reset(seed=0)
-    with pytest.raises(ValueError, match="must be real numbers"):
-        env.step(action)
-
-
-def test_a_number_of_environments_is_no_truth_value():
-    with pytest.raises(ValueError, match="num_envs = True"):
-        gymnasium.make_vec(ID, True)
-
-
-def test_a_shallow_copy_would_share_the_flight_and_is_refused():
-    with pytest.raises(TypeError, match="make another one"):
-        copy.copy(gymnasium.make(ID).unwrapped)

@@ -16,7 +16,7 @@ from quadsim.env.spaces import ACTION_SCALE, OBSERVATION_LIMIT
 from quadsim.flight.scenario import Crash, Scenario, Start, changed, load_scenario
 from quadsim.pictures.render import Scene
 from quadsim.trajectory.specs import Hover
-from quadsim.vehicle import load_vehicle
+from quadsim.vehicle import Randomisation, load_vehicle
 
 SHORT = Scenario(
     description="",
@@ -62,21 +62,33 @@ def test_zero_action_at_level_position_holds_the_set_point():
     assert reward > 0.98
 
 
-@pytest.mark.parametrize("name", ["truth", "mahony"])
-def test_batched_twin_gives_the_numbers_of_single_environments_through_restarts(name):
+GUSTY = changed(load_scenario("wind-gust"), {"duration_s": 0.1, "start": {"tilt_deg": 20.0}})
+HEXAROTOR = changed(GUSTY, {"vehicle": "hexarotor"})
+RANDOM = {"mahony": {name: 0.4 for name in Randomisation.model_fields}, "truth": None}
+
+
+@pytest.mark.parametrize(
+    ("name", "scenario", "level", "width"),
+    [
+        ("truth", GUSTY, "rate", 4),
+        ("mahony", GUSTY, "rate", 4),
+        ("mahony", HEXAROTOR, "rotor", 6),
+        ("mahony", HEXAROTOR, "attitude", 4),
+    ],
+)
+def test_batched_twin_gives_the_numbers_of_single_environments_through_restarts(name, scenario, level, width):
     n, seed = 3, 11
-    scenario = load_scenario("wind-gust").model_copy(
-        update={"duration_s": 0.1, "start": Start(tilt_deg=20.0)}
-    )
-    given = {"estimator": estimators.create(name), "scenario": scenario, "level": "rate"}
+    given = {"estimator": estimators.create(name), "scenario": scenario, "level": level}
+    given["randomisation"] = RANDOM[name]
     batch, singles = make(n, **given), [gymnasium.make(ID, **given) for _ in range(n)]
+    assert batch.single_action_space.shape == singles[0].action_space.shape == (width,)
     random = np.random.default_rng(0)
     observations, _ = batch.reset(seed=seed)
     expected = np.stack([env.reset(seed=seed + i)[0] for i, env in enumerate(singles)])
     np.testing.assert_array_equal(observations, expected)
     for step in range(50):
-        action = random.uniform(-1, 1, (n, 4)).astype(np.float32)
-        observations, rewards, _, truncated, _ = batch.step(action)
+        action = random.uniform(-0.5, 0.5, (n, width)).astype(np.float32)
+        observations, rewards, _, truncated, info = batch.step(action)
         if step % 21 == 20:  # the step after the 20th is the restart
             expected = [env.reset()[0] for env in singles]
             assert not rewards.any()
@@ -86,6 +98,7 @@ def test_batched_twin_gives_the_numbers_of_single_environments_through_restarts(
             np.testing.assert_array_equal(rewards, [result[1] for result in results])
             np.testing.assert_array_equal(truncated, [result[3] for result in results])
         np.testing.assert_array_equal(observations, np.stack(expected))
+    assert info["rotor_vel"].shape == (n, len(load_vehicle(scenario.vehicle).rotors))
 
 
 def test_one_vehicle_of_a_batch_restarts_alone():
@@ -158,25 +171,24 @@ def test_bad_arguments_are_named(arguments, message):
         gymnasium.make(ID, **arguments).reset(seed=0)
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("n", [1, 3])
-def test_an_action_that_is_no_finite_number_is_refused(n, value):
+SHAPE, REAL, FINITE = "an action has shape", "must be real numbers", "not a finite number"
+
+
+@pytest.mark.parametrize(
+    ("n", "action", "said"),
+    [
+        *((1, np.zeros(shape), SHAPE + r".*; it must be \(4,") for shape in [(2, 2), (3,), (1, 4), ()]),
+        (2, np.zeros((4, 2)), SHAPE + r".*; it must be \(2, 4"),
+        *((1, [value] * 4, REAL) for value in (10**400, 1j, np.timedelta64(0, "s"), "0", None)),
+        *((1, [0.0, value, 0.0, 0.0], FINITE) for value in (np.nan, np.inf, -np.inf)),
+        (3, np.full((3, 4), np.inf), FINITE),
+    ],
+)
+def test_an_action_of_another_shape_or_without_finite_real_numbers_is_refused(n, action, said):
     env = make(n)
     env.reset(seed=0)
-    action = np.zeros((n, 4)).squeeze()
-    action[..., 1] = value
-    with pytest.raises(ValueError, match="not a finite number"):
+    with pytest.raises(ValueError, match=said):
         env.step(action)
-
-
-@pytest.mark.parametrize(("n", "shape"), [(1, (2, 2)), (1, (3,)), (1, (1, 4)), (1, ()), (2, (4, 2))])
-def test_an_action_of_another_shape_is_refused(n, shape):
-    env = make(n)
-    env.reset(seed=0)
-    with pytest.raises(
-        ValueError, match=r"an action has shape .*; it must be " + (r"\(4," if n == 1 else r"\(2, 4")
-    ):
-        env.step(np.zeros(shape))
 
 
 @pytest.mark.parametrize("seed", [1.5, -1, "a"])
@@ -187,13 +199,17 @@ def test_a_seed_that_is_no_whole_number_is_refused(n, seed):
         env.reset(seed=seed)
 
 
+def test_a_number_of_environments_is_no_truth_value():
+    with pytest.raises(ValueError, match="num_envs = True"):
+        gymnasium.make_vec(ID, True)
+
+
 def test_copies_and_pickles_of_an_environment_are_refused_with_the_reason():
     env = gymnasium.make(ID).unwrapped
     env.reset(seed=0)
-    with pytest.raises(TypeError, match="make another one with the same arguments"):
-        copy.deepcopy(env)
-    with pytest.raises(TypeError, match="make another one with the same arguments"):
-        pickle.dumps(env)
+    for way in (copy.copy, copy.deepcopy, pickle.dumps):
+        with pytest.raises(TypeError, match="make another one with the same arguments"):
+            way(env)
 
 
 INFO = {
@@ -257,6 +273,7 @@ def test_reset_flies_another_scenario_or_wind_until_the_next_reset():
         ({"scenario": 3}, "should be a name"),
         ({"wind": 4.0}, r"shape \(\)"),
         ({"wind": (1e9, 0, 0)}, "wind"),
+        *((each, "a dictionary is allowed") for each in ([1], "hover", 3)),
     ],
 )
 def test_a_wrong_option_is_named_and_the_environment_lives_on(options, text):
