@@ -131,6 +131,8 @@ def test_topics_of_an_mcap_file_keep_their_schemas_and_the_order_of_time(tmp_pat
     assert all(
         set(message) <= set(schemas[topic][1]) for topic, messages in found.items() for message in messages
     )
+    with pytest.raises(ValueError, match=r"topics: .*/traces/gyroscope \(gyroscope \[rad/s\]"):
+        read_recording(tmp_path / "x.mcap", truth="/nope")
     assert schemas["/traces/roll"][0] == "roll [deg]"
     assert set(found["/traces/roll"][20]) == {
         "timestamp",
@@ -177,6 +179,7 @@ def test_a_recording_of_rerun_has_poses_traces_and_spikes(tmp_path):
         (None, "x.rrd", r"x\.rrd: should end in \.mcap"),
         (None, "folder.mcap", "Is a directory"),
         (None, "file/x.mcap", "Not a directory"),
+        (None, "/proc/x.mcap", "no file can be made there"),
     ],
 )
 def test_a_file_that_cannot_be_written_is_refused_before_there_is_anything_to_write(
