@@ -36,7 +36,7 @@ docs: tools  ## The site, into reports/site; a broken link is an error
 
 video: FFMPEG = $$($(BIN)/python -c 'import imageio_ffmpeg; print(imageio_ffmpeg.get_ffmpeg_exe())') -v error -y
 video: tools  ## The README's animation, and the site's video with its first picture
-	$(BIN)/quadsim fly figure-8 --estimator att-snn-loihi --set duration_s=10 --video --out reports/figure-8
+	$(BIN)/quadsim fly figure-8 --estimator att-snn-loihi --duration 10 --video --out reports/figure-8
 	$(FFMPEG) -i reports/figure-8/flight.mp4 -vf scale=800:-2 -an -c:v libx264 -preset slow -crf 31 -pix_fmt yuv420p \
 		-movflags +faststart -map_metadata -1 docs/img/flight.mp4
 	$(FFMPEG) -ss 2 -i docs/img/flight.mp4 -frames:v 1 -q:v 4 docs/img/flight.jpg
