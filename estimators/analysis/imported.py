@@ -84,6 +84,7 @@ def import_nir(
         "energy_nJ_per_step": sum(line.nanojoules for line in lines),
         "latency_steps": steps,
         "latency_s": steps * float(dt),
+        "spikes": int(np.count_nonzero(spikes[1])),
         "agreement": agreement(*spikes),
         "layers": [
             _layer(layer, *(floats.of_layer(each, k) for each in spikes)) for k, layer in enumerate(layers)

@@ -148,6 +148,10 @@ def export(
     say(f"{out}: {source[0]} as {format}")
 
 
+FEW_SPIKES = 100
+"""Fewer spikes than these say little of the agreement of a network with its floats."""
+
+
 def _import(source: list[str], out: Path, format: str | None, set_: list[str] | None, seed: int) -> None:
     from estimators.analysis.imported import ImportSettings, import_nir
 
@@ -158,7 +162,8 @@ def _import(source: list[str], out: Path, format: str | None, set_: list[str] | 
     print_table((name, _short(each)) for name, each in report.items() if not isinstance(each, (dict, list)))
     same = "no neuron spikes on this input"
     if report["agreement"] is not None:
-        same = f"{100 * report['agreement']:.1f} % of spikes as in floats"
+        few = "" if report["spikes"] >= FEW_SPIKES else ", which are too few to tell how well it agrees"
+        same = f"{100 * report['agreement']:.1f} % of {report['spikes']} spikes as in floats{few}"
     say(f"{out}: {report['cores']} of a chip's 128 cores, {same}")
 
 

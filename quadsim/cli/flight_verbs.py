@@ -1,5 +1,6 @@
 """Commands that fly in closed loop: `fly`, `bench`, `demo`."""
 
+import signal
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated
@@ -71,6 +72,7 @@ def fly(
         raise ValueError(f"--autopilot {autopilot} has its own estimator and controller: leave them out")
     else:
         estimator = autopilot
+        signal.signal(signal.SIGTERM, signal.default_int_handler)  # its folder and locks are removed
     given = settings_of(set_, FlightConditions)
     if autopilot and given.tuning:
         raise ValueError(f"--set tuning is for quadsim's filters, and --autopilot {autopilot} has its own")

@@ -118,7 +118,10 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
             raise ValueError(f'reset has no option "{key}"; {nearest(str(key), OPTIONS)}')
         scenario = scenario_for(given.get("scenario", self._scenario), given.get("randomisation"))
         if "wind" in given:
-            wind = np.asarray(given["wind"], dtype=np.float64)
+            try:
+                wind = np.asarray(given["wind"], dtype=np.float64)
+            except (TypeError, ValueError):
+                raise ValueError(f"wind = {given['wind']!r}: should be three numbers [m/s]") from None
             if wind.shape != (3,):
                 raise ValueError(f"wind has shape {wind.shape}; it must be (3,) [m/s]")
             scenario = changed(scenario, {"wind": ({"kind": "constant", "velocity": tuple(wind.tolist())},)})

@@ -47,10 +47,10 @@ class SB3VecEnv(VecEnv):
 
     def reset(self) -> NDArray[np.float32]:
         """Begin all episodes; observations (n, 17)."""
-        observation, _ = self.batch.reset(seed=self._seeds[0], options=self._options[0])
+        seed, options = self._seeds[0], self._options[0]
         self._reset_seeds()
         self._reset_options()
-        return observation
+        return self.batch.reset(seed=seed, options=options)[0]
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Take the actions (n, numbers) of the next step."""

@@ -74,7 +74,7 @@ class Recipe(Surroundings):
     hand_held: HandHeld | None = None
     """Motion by hand instead of a flight: an IMU without a vehicle."""
     ground: bool = False
-    """Whether flights start at rest on sloping ground; the same number of samples is dropped from their end."""
+    """Whether flights start at rest on sloping ground; as many samples are dropped from their end."""
     warmup_s: Annotated[float, Between(0.0, 60.0, "s")] = 4.0
     """Time that is simulated before the recording, so that flights begin in motion [s]."""
 

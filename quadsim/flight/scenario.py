@@ -35,9 +35,9 @@ class Start(Strict):
 
 
 class Crash(Strict):
-    """Limits of a flight. It crashes when one of them is exceeded, or when its centre of mass is below the ground.
+    """Limits of a flight. It crashes when one of them is exceeded, or when it hits the ground.
 
-    The ground is at z = 0 in world axes. Samples after a crash do not count.
+    It hits the ground when its centre of mass is below z = 0, world axes. Samples after a crash do not count.
     """
 
     tilt_deg: Annotated[float, Between(1.0, 180.0, "°")] = 75.0

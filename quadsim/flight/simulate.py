@@ -40,14 +40,14 @@ def simulate_flights(
         that diverges holds its last valid sample), with `end_reason`, "" for a whole flight.
     """
     log = np.zeros((len(seeds), steps), state_dtype(len(config.vehicle.rotors)))
-    end = np.full(len(seeds), steps)
+    end, drawn = np.full(len(seeds), steps), _domains(config, seeds)
     if config.hand_held is not None:
         motion = move_by_hand(config.hand_held, steps, rate_hz, children(seeds, TRAJECTORY))
         for name, values in motion.items():
             log[name] = values
     else:
         total = round(config.warmup_s * rate_hz) + steps
-        loop = recipe_loop(config, seeds, total, rate_hz, log)
+        loop = recipe_loop(config, seeds, total, rate_hz, log, drawn=drawn)
         if total == steps:
             loop.sense()  # the first sample is recorded, in its wind
         loop.follow(total - 1)
@@ -57,7 +57,7 @@ def simulate_flights(
         end = np.where(end < steps, np.minimum(end + before, steps), steps)
     flights = {name: log[name] for name in log.dtype.names or () if name != "ang_acc"}
     reasons = ["" if e == steps else f"diverged after {e / rate_hz:.2f} s" for e in end]
-    imus = [each.imu for each in _domains(config, seeds)]
+    imus = [each.imu for each in drawn]
     readings = simulate_readings(imus, log, rate_hz, children(seeds, SENSOR))
     return {**flights, **readings, "end_step": end, "end_reason": reasons}
 
@@ -73,6 +73,7 @@ def recipe_loop(
     rate_hz: float = 200.0,
     log: NDArray[np.void] | None = None,
     controller: MakeController | None = None,
+    drawn: Sequence[Domain] | None = None,
 ) -> FlightLoop:
     """The loops of flights of a recipe, one per seed, at their first sample.
 
@@ -83,9 +84,10 @@ def recipe_loop(
         rate_hz: Samples per second.
         log: Where the states are written, see `FlightLoop`.
         controller: Flies on the readings of the IMU; None for the cascade, which has the true body rate.
+        drawn: What their randomisation has drawn, one per seed; None draws it.
     """
     path, air, angles = (children(seeds, part) for part in (TRAJECTORY, AIR, ANGLES))
-    drawn = _domains(config, seeds)
+    drawn = drawn or _domains(config, seeds)
     plans = planned(config.trajectory, config.wind, steps, rate_hz, path, air)
     scale_wind(plans, drawn)
     first = plans[:, 0].copy()

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .timeline import BODY, COLOURS, Array, Spikes, Timeline, outline
+from .timeline import BODY, Array, Spikes, Timeline, outline, styles
 
 Json = dict[str, Any]
 IMU, SCENE = "sensor_msgs/Imu", "foxglove.SceneUpdate"
@@ -111,9 +111,9 @@ def _scene(timeline: Timeline) -> Json:
     """Outlines that move with the frames of the poses."""
     start, entities = {"sec": 0, "nsec": 0}, []
     strips = [LINE | {"points": _rows("xyz", points)} for points in outline(timeline.vehicle)]
-    for name in timeline.poses:
-        rgb = COLOURS["true" if name == BODY else "estimate"]
-        line = {"color": dict(zip("rgba", [*(each / 255 for each in rgb), 1.0], strict=True))}
+    for name, (colour, _) in zip(timeline.poses, styles(timeline.poses, timeline.poses), strict=True):
+        rgb = np.divide(colour, 255).tolist()
+        line = {"color": dict(zip("rgba", [*rgb, 1.0], strict=True))}
         entity = {"timestamp": start, "lifetime": start, "frame_id": name, "id": name, "frame_locked": True}
         entity |= {other: [] for other in OTHER_SHAPES}
         entities.append(entity | {"lines": [strip | line for strip in strips]})

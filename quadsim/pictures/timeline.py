@@ -3,7 +3,7 @@
 import errno
 import importlib
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
@@ -21,7 +21,9 @@ Array = NDArray[np.float64]
 
 BODY = "body"
 """Name of the true pose."""
-COLOURS = {"true": (237, 92, 23), "estimate": (25, 140, 242), "target": (25, 190, 76), "wind": (115, 64, 217)}
+COLOURS = {"true": (237, 92, 23), "target": (25, 190, 76), "wind": (150, 110, 240)}
+PALETTE = (25, 140, 242), (240, 190, 40), (90, 200, 120), (220, 110, 190), (110, 210, 220), (170, 170, 170)
+"""Colours of estimators, and of curves that are not of one, by their order."""
 
 
 class Trace(NamedTuple):
@@ -75,6 +77,10 @@ def attitudes(
         euler: True roll, pitch and yaw (T, 3) [rad]; NaN where not known.
         estimates: Estimated roll and pitch (T, 2) [rad]; drawn with the true yaw, or else with none.
         sigmas: Their standard deviations (T, 2) [rad], of estimators that give one.
+
+    Returns:
+        The poses; the traces "roll" and "pitch", and "error of roll" and "error of pitch" where the truth is
+        known.
     """
     roll, pitch, yaw = euler.T
     poses = {BODY: quat_from_euler(roll, pitch, yaw)} if np.isfinite(euler).all(axis=1).any() else {}
@@ -82,14 +88,36 @@ def attitudes(
         poses[name] = quat_from_euler(estimate[:, 0], estimate[:, 1], np.nan_to_num(yaw))
     traces = {}
     for k, angle in enumerate(("roll", "pitch")):
-        curves = {"true": euler[:, k]}
+        curves, errors = {"true": euler[:, k]}, {}
         for name, estimate in estimates.items():
             curves[name] = estimate[:, k]
-            if name in sigmas:
-                curves[f"{name} plus sigma"] = estimate[:, k] + sigmas[name][:, k]
-                curves[f"{name} minus sigma"] = estimate[:, k] - sigmas[name][:, k]
+            errors[name] = np.remainder(estimate[:, k] - euler[:, k] + np.pi, 2 * np.pi) - np.pi
+            for sign, bound in ((1, "plus sigma"), (-1, "minus sigma")) if name in sigmas else ():
+                curves[f"{name} {bound}"] = estimate[:, k] + sign * sigmas[name][:, k]
+                errors[f"{name} {bound}"] = sign * sigmas[name][:, k]
         traces[angle] = Trace("deg", {label: np.degrees(each) for label, each in curves.items()})
+        if BODY in poses:
+            traces[f"error of {angle}"] = Trace(
+                "deg", {label: np.degrees(each) for label, each in errors.items()}
+            )
     return poses, traces
+
+
+def styles(labels: Iterable[str], poses: Iterable[str]) -> list[tuple[tuple[int, int, int], bool]]:
+    """Colours of poses or of curves by their labels, and which of them are beside another curve.
+
+    Such a one has that curve's label, a space and more, and its colour: "imm plus sigma" is beside "imm".
+
+    Args:
+        labels: Of a trace, or of poses.
+        poses: Names of the poses of a timeline.
+    """
+    labels, estimators = list(labels), [name for name in poses if name != BODY]
+    curves = [next((each for each in labels if label.startswith(f"{each} ")), label) for label in labels]
+    others = [each for each in dict.fromkeys(curves) if each not in ("true", BODY)]
+    order = estimators if set(others) <= set(estimators) else others
+    colours = {name: PALETTE[k % len(PALETTE)] for k, name in enumerate(order)}
+    return [(colours.get(of, COLOURS["true"]), of != label) for of, label in zip(curves, labels, strict=True)]
 
 
 def axes_of(unit: str, vectors: Array) -> Trace:

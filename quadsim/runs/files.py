@@ -126,6 +126,8 @@ def _acquired(path: Path, whole: Path, wait_s: float) -> "FileLock":
             lock.acquire(timeout=wait_s)
             return lock
         except Timeout:
+            if not Path(lock.lock_file).exists():
+                raise OSError(errno.EACCES, "no file can be made there", str(path)) from None
             break
         except OSError:
             if lock is inside or not whole.is_dir():

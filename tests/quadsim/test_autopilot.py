@@ -241,6 +241,24 @@ def test_the_firmware_ends_with_the_simulator_however_that_ends(program, tmp_pat
     assert not place.is_symlink()
 
 
+def test_a_flight_that_is_terminated_leaves_no_files(program, tmp_path):
+    code = "from quadsim.cli import main; main()"
+    command = [sys.executable, "-c", code, "fly", "hover", "--autopilot", "betaflight", "--duration", "300"]
+    environment = os.environ | {"TMPDIR": str(tmp_path), "PYTHONPATH": os.pathsep.join(sys.path)}
+    with subprocess.Popen(
+        [*command, "--out", str(tmp_path / "out")], env=environment, stderr=subprocess.PIPE
+    ) as simulator:
+        for _ in range(600):
+            if any(tmp_path.glob("quadsim-betaflight-*/eeprom.bin")):
+                break
+            time.sleep(0.1)
+        simulator.terminate()
+        assert simulator.stderr
+        assert b"Traceback" not in simulator.stderr.read()
+    assert simulator.returncode == 130
+    assert not [*tmp_path.glob("quadsim-betaflight-*"), *tmp_path.glob(".*.lock")]
+
+
 @pytest.mark.parametrize(
     ("target", "path", "message"),
     [

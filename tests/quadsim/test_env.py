@@ -272,6 +272,7 @@ def test_reset_flies_another_scenario_or_wind_until_the_next_reset():
         ({"scenario": "hovr"}, 'unknown scenario "hovr"; did you mean "hover"'),
         ({"scenario": 3}, "should be a name"),
         ({"wind": 4.0}, r"shape \(\)"),
+        ({"wind": "x"}, r"wind = 'x': should be three numbers \[m/s\]"),
         ({"wind": (1e9, 0, 0)}, "wind"),
         *((each, "a dictionary is allowed") for each in ([1], "hover", 3)),
     ],

@@ -67,6 +67,9 @@ def test_options_reach_the_next_reset_and_no_other(sb3):
     batch.set_options({"wind": (1.0, 2.0, 0.0)})
     batch.reset()
     np.testing.assert_array_equal(batch.batch.mission.air[0], [1.0, 2.0, 0.0])
+    batch.set_options({"wind": "x"})
+    with pytest.raises(ValueError, match="wind"):
+        batch.reset()
     batch.reset()
     assert not batch.batch.mission.air.any()
 

@@ -1,9 +1,7 @@
-"""Logs of ArduPilot, of Betaflight and in MCAP: the turning sensor is read back in our axes and units."""
+"""Logs of ArduPilot and in MCAP: the turning sensor is read back in our axes and units."""
 
 import json
-import os
 import struct
-import sys
 
 import numpy as np
 import pytest
@@ -100,66 +98,6 @@ def test_damage_in_an_ardupilot_log_is_skipped_and_counted(tmp_path):
 def test_an_ardupilot_log_without_an_imu_names_what_it_has(tmp_path):
     with pytest.raises(ValueError, match=r"no IMU with TimeUS in this log; messages: ATT, GPS"):
         read_recording(write_bin(tmp_path / "x.bin", (7,)))
-
-
-PROGRAM = """#!{python}
-import pathlib, sys
-if sys.argv[1:4] != ["--stdout", "--index", "2"]:
-    sys.exit("Couldn't load the log")
-sys.stdout.write(pathlib.Path(sys.argv[4]).with_suffix(".csv").read_text())
-"""
-HEADER = (
-    "H Product:Blackbox flight data recorder by Nicholas Sherlock\nH acc_1G:20480\nH gyro_scale:0x3f800000\n"
-    "H motor_poles:12\nH blackbox_high_resolution:1\n"
-)
-
-
-def write_blackbox(folder, monkeypatch):
-    """Two logs in a file, and a stand-in for blackbox_decode that prints the second, the turning sensor."""
-    time, gyro, accel, quat = turning()
-    names = [f"{name}[{k}]" for name in ("gyroADC", "accSmooth", "imuQuaternion") for k in range(3)]
-    quat = quat * np.sign(quat[:, :1])
-    values = (
-        np.hstack([np.degrees(gyro) * 10, accel / 9.80665 * 20480, quat[:, 1:] * 32767]).round().astype(int)
-    )
-    rows = [
-        f"{k}, {round(1e6 * time[k])}, " + ", ".join(f"{each:3d}" for each in row) + ", 500, 600"
-        for k, row in enumerate(values.tolist())
-    ]
-    head = f"loopIteration, time (us), {', '.join(names)}, eRPM[0], eRPM[1]"
-    (folder / "x.csv").write_text("\n".join([head, *rows]) + "\n")
-    (folder / "x.bbl").write_bytes(HEADER.encode() + bytes(9) + HEADER.encode() + bytes(99))
-    program = folder / "blackbox_decode"
-    program.write_text(PROGRAM.format(python=sys.executable))
-    program.chmod(0o755)
-    monkeypatch.setenv("PATH", f"{folder}{os.pathsep}{os.environ['PATH']}")
-    return folder / "x.bbl"
-
-
-def test_the_longest_log_of_a_betaflight_file_is_read_in_si_units(tmp_path, monkeypatch):
-    path = write_blackbox(tmp_path, monkeypatch)
-    log, report = reported(path)
-    _, gyro, accel, quat = turning()
-    for name, wanted, step in (("gyro", gyro, np.radians(0.1)), ("accel", accel, 9.8 / 20480)):
-        np.testing.assert_allclose(log[name][0], wanted, atol=0.6 * step)
-    np.testing.assert_allclose(np.abs((log["quat"][0] * quat).sum(axis=-1)), 1.0, atol=1e-8)
-    assert report.log.truth == "imuQuaternion: the autopilot's own estimate, which is no independent truth"
-    assert "log 2 of 2, the longest" in report.log.notes
-    speeds = read_recording(path).sensors["rotor_vel"].values[3]
-    np.testing.assert_allclose(speeds, np.array([50_000, 60_000]) / 6 * np.pi / 30)
-
-
-def test_a_betaflight_log_that_cannot_be_decoded_is_one_line(tmp_path, monkeypatch):
-    path = write_blackbox(tmp_path, monkeypatch)
-    path.write_bytes(HEADER.encode() + bytes(99) + HEADER.encode())
-    with pytest.raises(ValueError, match=r"x\.bbl: blackbox_decode cannot decode it: Couldn't load the log"):
-        read_recording(path)
-    monkeypatch.setenv("PATH", "")
-    with pytest.raises(ValueError, match=r"needs the program blackbox_decode .* on PATH"):
-        read_recording(path)
-    path.write_bytes(b"no log")
-    with pytest.raises(ValueError, match=r"x\.bbl: not a blackbox log"):
-        read_recording(path)
 
 
 def write_json_mcap(path, encoding="json"):

@@ -8,7 +8,18 @@ import pytest
 from sensor import turning
 
 from quadsim.logs import read_recording
-from quadsim.pictures.timeline import Spikes, Timeline, Trace, attitudes, axes_of, outline, viewer_files
+from quadsim.pictures.timeline import (
+    COLOURS,
+    PALETTE,
+    Spikes,
+    Timeline,
+    Trace,
+    attitudes,
+    axes_of,
+    outline,
+    styles,
+    viewer_files,
+)
 from quadsim.rotation import euler_from_quat
 from quadsim.vehicle import load_vehicle
 
@@ -58,6 +69,27 @@ def test_the_traces_of_an_estimator_are_one_standard_deviation_wide():
     assert np.isnan(roll["true"][:10]).all()
 
 
+def test_errors_of_an_estimator_are_within_half_a_turn_and_around_zero():
+    euler, estimate = np.array([[3.1, 0.1, 0.0]]), np.array([[-3.1, 0.3]])
+    _, traces = attitudes(euler, {"x": estimate}, {"x": np.radians([[2.0, 3.0]])})
+    error = traces["error of roll"].curves
+    assert set(error) == {"x", "x plus sigma", "x minus sigma"}
+    np.testing.assert_allclose([error["x"], error["x minus sigma"]], [[np.degrees(2 * np.pi - 6.2)], [-2.0]])
+    np.testing.assert_allclose(traces["error of pitch"].curves["x"], np.degrees(0.2))
+    _, without = attitudes(euler * np.nan, {"x": estimate}, {})
+    assert set(without) == {"roll", "pitch"}
+
+
+def test_a_curve_has_the_colour_of_its_estimator_and_a_bound_that_of_its_curve():
+    poses = ["body", "a", "b"]
+    assert styles(["true", "b", "b plus sigma"], poses) == [
+        (COLOURS["true"], False), (PALETTE[1], False), (PALETTE[1], True)
+    ]  # fmt: skip
+    assert styles(["x", "y", "y set-point"], poses) == [
+        (PALETTE[0], False), (PALETTE[1], False), (PALETTE[1], True)
+    ]  # fmt: skip
+
+
 def test_an_outline_reaches_every_propeller():
     vehicle = load_vehicle("hummingbird")
     circles = outline(vehicle)[-len(vehicle.rotors) :]
@@ -99,6 +131,8 @@ def test_topics_of_an_mcap_file_keep_their_schemas_and_the_order_of_time(tmp_pat
     assert all(
         set(message) <= set(schemas[topic][1]) for topic, messages in found.items() for message in messages
     )
+    with pytest.raises(ValueError, match=r"topics: .*/traces/gyroscope \(gyroscope \[rad/s\]"):
+        read_recording(tmp_path / "x.mcap", truth="/nope")
     assert schemas["/traces/roll"][0] == "roll [deg]"
     assert set(found["/traces/roll"][20]) == {
         "timestamp",
@@ -132,7 +166,9 @@ def test_a_recording_of_rerun_has_poses_traces_and_spikes(tmp_path):
     assert found["/traces/roll", "names"].to_pylist() == [list(shown.traces["roll"].curves)]
     scalars = np.array(found["/traces/roll", "scalars"].to_pylist())
     np.testing.assert_array_equal(scalars, np.stack(list(shown.traces["roll"].curves.values()), axis=1))
-    assert found["/spikes/vectors", "scalars"].to_pylist() == [[3.0, 7.0], [3.0], [1.0]]
+    assert found["/spikes/vectors", "scalars"].to_pylist() == [[3.0], [7.0], [3.0], [1.0]]
+    assert found["/spikes/my\\ gates", "scalars"].to_pylist() == [[12.0]]  # above the last of the others
+    assert found["/spikes/my\\ gates", "names"].to_pylist() == [["my gates: 8–12"]]
     assert len(found["/world/my\\ est/outline", "strips"].to_pylist()[0]) == len(outline(shown.vehicle))
 
 
@@ -143,6 +179,7 @@ def test_a_recording_of_rerun_has_poses_traces_and_spikes(tmp_path):
         (None, "x.rrd", r"x\.rrd: should end in \.mcap"),
         (None, "folder.mcap", "Is a directory"),
         (None, "file/x.mcap", "Not a directory"),
+        (None, "/proc/x.mcap", "no file can be made there"),
     ],
 )
 def test_a_file_that_cannot_be_written_is_refused_before_there_is_anything_to_write(

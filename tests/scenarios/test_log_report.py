@@ -130,7 +130,10 @@ def test_the_faults_of_a_recording_are_those_of_its_scores_and_table(tmp_path):
 )
 def test_a_wide_interval_or_a_large_error_does_not_reassure(inside, sigma, rmse, said):
     figures = f": its median σ is {sigma}° at an error of {rmse}° RMS" if said else ""
-    assert Coverage(inside, sigma, rmse).text == f"{100 * inside:.0f} % {INSIDE}{said}{figures}"
+    assert (
+        Coverage(inside, sigma, rmse).text
+        == f"{100 * inside:.0f} % of the true angles are inside its 95 % interval{said}{figures}"
+    )
 
 
 def test_the_error_beside_an_interval_is_of_roll_and_pitch_where_they_count():

@@ -271,7 +271,6 @@ def test_the_command_runs_a_task_and_merges_folders(place, printed, refused, tmp
     assert "leads (2 entries are ranked)" in shown
     alone = printed("report", place / "out" / "mahony", "--out", tmp_path / "c.html")
     assert "mahony is the only ranked entry" in alone
-    )
     assert "Of a colleague" in (tmp_path / "b.html").read_text()
     for more, why in {
         ("--seeds", 3): "--seeds is not for --task",

@@ -1,6 +1,7 @@
 """Topics and messages of an MCAP file, through mcap: encodings of ROS 2 and ROS 1, and Foxglove's JSON."""
 
 import json
+import re
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
@@ -80,4 +81,4 @@ def _kind(schema: str) -> str:
     """A schema's name as ROS 2 has it, or as Foxglove has its own."""
     if schema.startswith("foxglove_msgs/"):
         return f"foxglove.{schema.rpartition('/')[2]}"
-    return schema if "/msg/" in schema else schema.replace("/", "/msg/")
+    return re.sub(r"^(\w+)/(\w+)$", r"\1/msg/\2", schema)
