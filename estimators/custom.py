@@ -38,29 +38,20 @@ def declared(name: str) -> dict[str, Parameter]:
     return dict(found)
 
 
-def wants_airframe(name: str) -> bool:
-    """Whether a user's class asks for the airframe: its `given` names it. It is then made with `vehicle=`."""
-    return "airframe" in getattr(load_own(name, GROUP), "given", ())
-
-
-def own(name: str, rate_hz: float, values: Mapping[str, Any] | None = None) -> AttitudeEstimator:
-    """A user's estimator.
-
-    Args:
-        name: "module:Class", "path/file.py:Class", or an entry point.
-        rate_hz: Samples per second, the class's only positional argument.
-        values: Its keywords: declared parameters, and the `vehicle` where it asks for the airframe.
-
-    Raises:
-        ValueError: No such module or class, or it is no estimator.
-    """
-    return made_by(name, load_own(name, GROUP), rate_hz, values or {})
-
-
 def made_by(
     name: str, made: Callable[..., AttitudeEstimator], rate_hz: float, values: Mapping[str, Any]
 ) -> AttitudeEstimator:
-    """What a user's class or function makes, tried; arguments and errors as of `own`."""
+    """A user's estimator, tried.
+
+    Args:
+        name: What to call it in an error.
+        made: Its class, or a function that makes it.
+        rate_hz: Samples per second, its only positional argument.
+        values: Its keywords: declared parameters, and the `vehicle` where it asks for the airframe.
+
+    Raises:
+        ValueError: What it makes is no estimator.
+    """
     arguments = ", ".join(["one argument, rate_hz", *(f"{key}=" for key in values)])
     with named_errors(f"{name} is made with {arguments}, and", passing=()):
         est = made(rate_hz, **values)

@@ -14,6 +14,8 @@ Array = NDArray[np.float64]
 RANGE = 100.0
 """Largest roll or pitch that counts as an angle [rad]: filters that do not wrap may count several turns, but
 differences of much larger numbers modulo 2π are rounding errors."""
+LEVEL, RESAMPLES = 0.95, 10_000
+"""Of the bootstrapped intervals."""
 MOTION = 1e-6
 """Largest change of the truth at which a flight counts as motionless [rad]."""
 CONSTANT = 0.01
@@ -42,13 +44,11 @@ class Summary:
         """Standard deviation over sequences (of the sample, n − 1); 0 for a single one."""
         return float(np.std(self.sequences, ddof=1)) if self.sequences.size > 1 else 0.0
 
-    def mean_interval(
-        self, level: float = 0.95, resamples: int = 10_000, seed: int = 0
-    ) -> tuple[float, float]:
+    def mean_interval(self, seed: int = 0) -> tuple[float, float]:
         """Bootstrap confidence interval of the mean over sequences (percentile method)."""
         n = self.sequences.size
-        draws = np.random.default_rng(seed).integers(0, n, (resamples, n))
-        low, high = np.quantile(self.sequences[draws].mean(axis=1), [0.5 - 0.5 * level, 0.5 + 0.5 * level])
+        draws = np.random.default_rng(seed).integers(0, n, (RESAMPLES, n))
+        low, high = np.quantile(self.sequences[draws].mean(axis=1), [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL])
         return float(low), float(high)
 
 

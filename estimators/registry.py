@@ -15,11 +15,12 @@ from quadsim.config.ranges import SAMPLE_RATE
 from quadsim.config.toml import nearest
 from quadsim.estimator import AttitudeEstimator
 from quadsim.imu.spec import ImuSpec, load_imu
+from quadsim.own import load_own
 from quadsim.runs.fingerprint import ASSETS
 from quadsim.vehicle import Vehicle, load_vehicle
 
 from .circuit.file import is_circuit, load_circuit
-from .custom import declared, is_custom, own, wants_airframe
+from .custom import GROUP, declared, is_custom, made_by
 from .filters.parameter import Parameter, checked
 from .networks.weights_file import END, load_network, shipped_controllers, shipped_names
 from .tuned import tuned_for
@@ -117,14 +118,15 @@ def create(
         return _network(name, rate_hz, params)
     airframe, sensor = loaded(vehicle, imu)
     if is_custom(name):
-        known = {"vehicle": airframe} if wants_airframe(name) else {}
-        return own(name, rate_hz, known | filter_values(name, rate_hz, params, tuning, airframe, sensor))
-    module, _, made_by = _shipped(name).made_by.partition(":")
+        made = load_own(name, GROUP)
+        known = {"vehicle": airframe} if "airframe" in getattr(made, "given", ()) else {}
+        values = filter_values(name, rate_hz, params, tuning, airframe, sensor)
+        return made_by(name, made, rate_hz, known | values)
+    module, _, maker = _shipped(name).made_by.partition(":")
     SAMPLE_RATE.of("rate_hz", rate_hz)
     known = airframe_constants(name, airframe)
     values = filter_values(name, rate_hz, known | params, tuning, airframe, sensor)
-    made = getattr(importlib.import_module(f".{module}", __package__), made_by)
-    return made(name, rate_hz, values)
+    return getattr(importlib.import_module(f".{module}", __package__), maker)(name, rate_hz, values)
 
 
 def loaded(vehicle: VehicleLike, imu: ImuLike) -> tuple[Vehicle | None, ImuSpec | None]:

@@ -91,6 +91,24 @@ def numbers_of(returned: object, shape: tuple[int, ...], call: str, what: str) -
     return array.astype(np.float64)
 
 
+def broadcast(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """A finite array in double precision, broadcast to a shape.
+
+    Raises:
+        ValueError: It has another shape, or a number that is not finite.
+    """
+    array = np.asarray(value, dtype=np.float64)
+    try:
+        full = np.broadcast_to(array, shape).copy()
+    except ValueError:
+        raise ValueError(f"{name} has shape {array.shape}; it must be {shape}") from None
+    if not np.isfinite(full).all():
+        raise ValueError(
+            f"{name} must be finite; it has {np.count_nonzero(~np.isfinite(full))} values that are not"
+        )
+    return full
+
+
 def rows_of(ids: ArrayLike, n: int) -> NDArray[np.intp]:
     """Indices (m,) of some of n vehicles, given by their indices or by a mask (n,).
 

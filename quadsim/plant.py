@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .config.ranges import ENGINES, SAMPLE_RATE, Engine
+from .estimator import broadcast
 from .motion.engine import MujocoEngine, vehicle_model
 from .motion.free_body import advance
 from .motion.rotors import aerodynamic_wrench, angular_acceleration, lag, vehicle_records
@@ -279,12 +280,5 @@ class Plant:
 
 
 def _rows(name: str, value: ArrayLike | None, shape: tuple[int, ...], default: ArrayLike) -> Array:
-    """Broadcast an argument to its shape, or name it in the error."""
-    array = np.asarray(default if value is None else value, dtype=np.float64)
-    try:
-        full = np.ascontiguousarray(np.broadcast_to(array, shape))
-    except ValueError:
-        raise ValueError(f"{name} has shape {array.shape}; it must broadcast to {shape}") from None
-    if not np.all(np.isfinite(full)):
-        raise ValueError(f"{name} is not finite: {array[~np.isfinite(array)].flat[0]}")
-    return full
+    """An argument or its default, see `broadcast`."""
+    return broadcast(name, default if value is None else value, shape)

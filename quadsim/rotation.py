@@ -118,24 +118,6 @@ def from_rotvec_core(x, y, z):
     return math.cos(0.5 * angle), scale * x, scale * y, scale * z
 
 
-@njit(cache=True)
-def from_matrix_core(r00, r01, r02, r10, r11, r12, r20, r21, r22):
-    """Quaternion of a rotation matrix, from its largest component (Shepperd 1978); w is not negative."""
-    trace = r00 + r11 + r22
-    if trace >= max(r00, r11, r22):
-        q = (1.0 + trace, r21 - r12, r02 - r20, r10 - r01)
-    elif r00 >= r11 and r00 >= r22:
-        q = (r21 - r12, 1.0 + 2.0 * r00 - trace, r01 + r10, r02 + r20)
-    elif r11 >= r22:
-        q = (r02 - r20, r01 + r10, 1.0 + 2.0 * r11 - trace, r12 + r21)
-    else:
-        q = (r10 - r01, r02 + r20, r12 + r21, 1.0 + 2.0 * r22 - trace)
-    w, x, y, z = normalize_core(q[0], q[1], q[2], q[3])
-    if w < 0.0:
-        return -w, -x, -y, -z
-    return w, x, y, z
-
-
 # --- the same equations over arrays ---------------------------------------------------------------
 
 
@@ -186,14 +168,6 @@ def _matrix(q, out):
         row = matrix_core(q[i, 0], q[i, 1], q[i, 2], q[i, 3])
         for k in range(9):
             out[i, k] = row[k]
-
-
-@njit(cache=True)
-def _from_matrix(m, out):
-    for i in range(len(out)):
-        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = from_matrix_core(
-            m[i, 0], m[i, 1], m[i, 2], m[i, 3], m[i, 4], m[i, 5], m[i, 6], m[i, 7], m[i, 8]
-        )
 
 
 def _over_arrays(loop: Callable[..., None], size: int, *operands: Array) -> Array:
@@ -299,10 +273,9 @@ def matrix_from_quat(q: ArrayLike) -> Array:
 
 def quat_from_matrix(R: ArrayLike) -> Array:
     """Quaternions (..., 4), w not negative, of rotation matrices (..., 3, 3)."""
-    matrix = np.asarray(R, dtype=np.float64)
-    if matrix.shape[-2:] != (3, 3):
-        raise ValueError(f"R has shape {matrix.shape}; its last two axes must be 3 × 3")
-    return _over_arrays(_from_matrix, 4, matrix.reshape(*matrix.shape[:-2], 9))
+    from scipy.spatial.transform import Rotation  # takes a tenth of a second
+
+    return Rotation.from_matrix(R).as_quat(canonical=True, scalar_first=True)
 
 
 # --- other orders and frames ----------------------------------------------------------------------

@@ -23,7 +23,7 @@ from typing import Any, ClassVar, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from quadsim.estimator import OtherSensors, rows_of
+from quadsim.estimator import OtherSensors, broadcast, rows_of
 from quadsim.rotation import euler_from_quat, quat_from_roll_pitch, quat_normalize
 
 from .samples import initial_samples
@@ -135,8 +135,10 @@ class CompiledFilter(BatchedFilter):
         states["quat"] = quat
 
     def tilt_covariance(self) -> Array:
-        """Covariance (n, 2, 2) [rad²] of the tilt's error about world x and y."""
-        raise AttributeError(f"{self.name} has no covariance")
+        """Covariance (n, 2, 2) [rad²] of the tilt's error about world x and y, by which errors begin."""
+        if "covariance" not in (self.record.names or ()):
+            raise AttributeError(f"{self.name} has no covariance")
+        return self.state["covariance"][:, :2, :2]
 
     quat = public_field("quat", "Estimated quat_WB (n, 4).")
     gyro_bias = public_field("gyro_bias", "Estimated gyroscope bias (n, 3) [rad/s].")
@@ -181,20 +183,6 @@ def initial_quat(n: int, roll_pitch: ArrayLike | None, quat: ArrayLike | None) -
     if roll_pitch is not None:
         return quat_from_roll_pitch(broadcast("roll_pitch", roll_pitch, (n, 2))), True
     return np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)), False
-
-
-def broadcast(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """Finite float64 array of a shape, or ValueError."""
-    array = np.asarray(value, dtype=np.float64)
-    try:
-        full = np.broadcast_to(array, shape).copy()
-    except ValueError:
-        raise ValueError(f"{name} has shape {array.shape}; it must be {shape}") from None
-    if not np.isfinite(full).all():
-        raise ValueError(
-            f"{name} must be finite; it has {np.count_nonzero(~np.isfinite(full))} values that are not"
-        )
-    return full
 
 
 def paired(gyro: ArrayLike, accel: ArrayLike) -> tuple[Array, Array]:

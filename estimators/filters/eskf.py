@@ -109,7 +109,3 @@ class Eskf(CompiledFilter):
         states["quat"] = quat
         sigma = [SIGMA_GIVEN if known else SIGMA_UNKNOWN] * 2 + [self.values["bias_sigma"]] * 3
         states["covariance"] = np.diag(np.square(sigma))
-
-    def tilt_covariance(self) -> Array:
-        """The covariance's first block (n, 2, 2) [rad²]."""
-        return self.state["covariance"][:, :2, :2]

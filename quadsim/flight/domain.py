@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..imu.spec import ImuSpec, randomise_imu
 from ..vehicle import Randomisation, Vehicle, randomise
@@ -34,10 +33,3 @@ def _domain(vehicle: Vehicle, imu: ImuSpec, ranges: Randomisation, rng: np.rando
     drawn = randomise(vehicle, ranges, rng)
     wind, delay = 1.0 + np.array([ranges.wind, ranges.delay]) * rng.uniform(-1.0, 1.0, 2)
     return Domain(drawn, randomise_imu(imu, ranges.imu, rng) if ranges.imu else imu, wind, delay)
-
-
-def scale_wind(plans: NDArray[np.void], drawn: Sequence[Domain]) -> None:
-    """Scale the winds of flights, (n, T) records of `quadsim.flight.world.PLAN`, in place."""
-    factors = np.array([each.wind for each in drawn])
-    if (factors != 1.0).any():
-        plans["wind"] *= factors[:, None, None]

@@ -23,7 +23,7 @@ from ..trajectory.reference import reference
 from ..trajectory.specs import Trajectory
 from ..vehicle import Randomisation, load_vehicle, with_drag
 from ..wind import WindSpec, wind_series
-from .domain import Domain, domains, scale_wind
+from .domain import Domain, domains
 from .faults import displaced, sensor_faults
 from .loop import FlightLoop
 from .scenario import Scenario
@@ -134,9 +134,7 @@ class Mission(FlightLoop):
         """Set-points and winds of whole flights, (n, steps + 1) records of `PLAN`."""
         path, air = children(seeds, TRAJECTORY), children(seeds, AIR)
         scenario, steps = self.scenario, self.steps + 1
-        plans = planned(scenario.trajectory, scenario.wind, steps, self.rate_hz, path, air)
-        scale_wind(plans, drawn)
-        return plans
+        return planned(scenario.trajectory, scenario.wind, drawn, steps, self.rate_hz, path, air)
 
     def _start(self, seeds: Seeds, first: NDArray[np.void]) -> dict[str, Any]:
         """Arguments of `FlightLoop.reset`, from the first set-points (n,)."""
@@ -159,11 +157,18 @@ class Mission(FlightLoop):
 
 
 def planned(
-    trajectory: Trajectory, wind: Sequence[WindSpec], steps: int, rate_hz: float, path: Seeds, air: Seeds
+    trajectory: Trajectory,
+    wind: Sequence[WindSpec],
+    drawn: Sequence[Domain],
+    steps: int,
+    rate_hz: float,
+    path: Seeds,
+    air: Seeds,
 ) -> NDArray[np.void]:
-    """Set-points and winds of a flight for each pair of seeds, (n, steps) records of `PLAN`."""
+    """Set-points and winds of a flight for each domain and pair of seeds, (n, steps) records of `PLAN`."""
     plans = np.zeros((len(path), steps), PLAN)
     plans["target"] = reference(trajectory, steps, rate_hz, path)
     if wind:
-        plans["wind"] = wind_series(wind, len(path), steps, rate_hz, air)
+        factors = np.array([each.wind for each in drawn])
+        plans["wind"] = factors[:, None, None] * wind_series(wind, len(path), steps, rate_hz, air)
     return plans

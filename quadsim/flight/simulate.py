@@ -9,7 +9,7 @@ from ..control.attitude_controller import MakeController
 from ..imu.stream import simulate_readings
 from ..motion.rotors import state_dtype
 from ..seeding import AIR, ANGLES, BODY, GROUND, SENSOR, TRAJECTORY, children
-from .domain import Domain, domains, scale_wind
+from .domain import Domain, domains
 from .ground import start_on_ground
 from .hand_held import move_by_hand
 from .loop import FlightLoop
@@ -88,8 +88,7 @@ def recipe_loop(
     """
     path, air, angles = (children(seeds, part) for part in (TRAJECTORY, AIR, ANGLES))
     drawn = drawn or _domains(config, seeds)
-    plans = planned(config.trajectory, config.wind, steps, rate_hz, path, air)
-    scale_wind(plans, drawn)
+    plans = planned(config.trajectory, config.wind, drawn, steps, rate_hz, path, air)
     first = plans[:, 0].copy()
     plans["wind"][:, :-1] = plans["wind"][:, 1:]  # a sample's wind is that of the way to it
     if config.attitude_error.sd_deg:

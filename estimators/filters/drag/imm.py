@@ -301,7 +301,7 @@ class InteractingModels(CompiledFilter):
     def tilt_covariance(self) -> Array:
         """That of the models and, on both axes, of the mean force, which vibration shifts."""
         shifted = (self.values["rectified_share"] / GRAVITY) ** 2 * self.state["shake"]
-        return self.state["covariance"][:, :2, :2] + shifted[:, None, None] * np.eye(2)
+        return super().tilt_covariance() + shifted[:, None, None] * np.eye(2)
 
     @property
     def model_probability(self) -> Array:
