@@ -156,3 +156,8 @@ def test_a_file_that_is_no_policy_is_refused_in_one_line(tmp_path):
             load_policy(file)
     with pytest.raises(ValueError, match=r"shape \(3,\); it must be \(..., 17\)"):
         Policy(PolicySpec(level="attitude"), layers(17, 4))(np.zeros(3))
+
+
+def test_a_specification_that_is_not_valid_is_one_line():
+    with pytest.raises(ValueError, match=r'^level = "x": [^\n]*rotor[^\n]*$'):
+        PolicySpec(level="x")
