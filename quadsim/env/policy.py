@@ -1,5 +1,6 @@
 """Policies: what an agent has learnt, a small network from observations to actions, as a safetensors file."""
 
+import json
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -94,11 +95,11 @@ def load_policy(source: str | Path) -> Policy:
         with safe_open(path, framework="numpy") as file:
             if "policy" not in (about := file.metadata() or {}):
                 raise ValueError("it holds other weights")
-            spec = PolicySpec.model_validate_json(about["policy"])
+            spec = PolicySpec(**json.loads(about["policy"]))
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (not a mapping)
         numbers = range(len(tensors) // 2)
         return Policy(spec, [(tensors[f"weight_{k}"], tensors[f"bias_{k}"]) for k in numbers])
-    except (SafetensorError, KeyError, ValueError) as error:
+    except (SafetensorError, KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path}: not a policy ({error})") from error
 
 

@@ -1,5 +1,6 @@
 """The environment in Stable-Baselines3, and policies."""
 
+from functools import partial
 from itertools import pairwise
 
 import gymnasium
@@ -150,7 +151,9 @@ def test_a_file_that_is_no_policy_is_refused_in_one_line(tmp_path):
     with pytest.raises(ValueError, match='unknown policy "hovr"; did you mean "hover"'):
         load_policy("hovr")
     file = tmp_path / "p.safetensors"
-    for write in (lambda: file.write_bytes(b"x" * 50), lambda: save_file({"a": np.ones(3)}, file)):
+    written = [None, *({"policy": text} for text in ('{"level": "x"}', "{}", "[1]", "nonsense"))]
+    writes = [partial(save_file, {"a": np.ones(3)}, file, metadata=about) for about in written]
+    for write in (lambda: file.write_bytes(b"x" * 50), *writes):
         write()
         with pytest.raises(ValueError, match=r"p.safetensors: not a policy \([^\n]*\)$"):
             load_policy(file)
