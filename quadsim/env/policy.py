@@ -1,9 +1,10 @@
 """Policies: what an agent has learnt, a small network from observations to actions, as a safetensors file."""
 
+import json
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,7 +24,11 @@ END = ".safetensors"
 
 
 class PolicySpec(Strict):
-    """The environment that a policy was trained in."""
+    """The environment that a policy was trained in.
+
+    Raises:
+        ValueError: One line: a value that a field cannot have.
+    """
 
     level: Level
     """Where its actions enter the controller."""
@@ -35,6 +40,12 @@ class PolicySpec(Strict):
     """Samples for which an action holds."""
     training: dict[str, JsonValue] = Field(default_factory=dict)
     """Where the weights come from."""
+
+    def __init__(self, **fields: Any) -> None:
+        try:
+            super().__init__(**fields)
+        except ValidationError as error:
+            raise ValueError(describe(error, PolicySpec)) from error
 
 
 class Policy:
@@ -84,13 +95,11 @@ def load_policy(source: str | Path) -> Policy:
         with safe_open(path, framework="numpy") as file:
             if "policy" not in (about := file.metadata() or {}):
                 raise ValueError("it holds other weights")
-            spec = PolicySpec.model_validate_json(about["policy"])
+            spec = PolicySpec(**json.loads(about["policy"]))
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (not a mapping)
         numbers = range(len(tensors) // 2)
         return Policy(spec, [(tensors[f"weight_{k}"], tensors[f"bias_{k}"]) for k in numbers])
-    except ValidationError as error:
-        raise ValueError(f"{path}: not a policy ({describe(error, PolicySpec)})") from error
-    except (SafetensorError, KeyError, ValueError) as error:
+    except (SafetensorError, KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path}: not a policy ({error})") from error
 
 

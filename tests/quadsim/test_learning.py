@@ -1,5 +1,6 @@
 """The environment in Stable-Baselines3, and policies."""
 
+from functools import partial
 from itertools import pairwise
 
 import gymnasium
@@ -150,9 +151,16 @@ def test_a_file_that_is_no_policy_is_refused_in_one_line(tmp_path):
     with pytest.raises(ValueError, match='unknown policy "hovr"; did you mean "hover"'):
         load_policy("hovr")
     file = tmp_path / "p.safetensors"
-    for write in (lambda: file.write_bytes(b"x" * 50), lambda: save_file({"a": np.ones(3)}, file)):
+    written = [None, *({"policy": text} for text in ('{"level": "x"}', "{}", "[1]", "nonsense"))]
+    writes = [partial(save_file, {"a": np.ones(3)}, file, metadata=about) for about in written]
+    for write in (lambda: file.write_bytes(b"x" * 50), *writes):
         write()
         with pytest.raises(ValueError, match=r"p.safetensors: not a policy \([^\n]*\)$"):
             load_policy(file)
     with pytest.raises(ValueError, match=r"shape \(3,\); it must be \(..., 17\)"):
         Policy(PolicySpec(level="attitude"), layers(17, 4))(np.zeros(3))
+
+
+def test_a_specification_that_is_not_valid_is_one_line():
+    with pytest.raises(ValueError, match=r'^level = "x": [^\n]*rotor[^\n]*$'):
+        PolicySpec(level="x")
