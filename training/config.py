@@ -173,7 +173,7 @@ class Run(Strict):
     """Of all that is random: initial weights, split, windows or streams, sensor errors."""
 
     def check(self, own_flights: bool) -> None:
-        """Check the seed, and the presence of something to train on: data, or flights that the run makes."""
+        """Refuse a reserved seed, and a run without data that does not make flights of its own."""
         unreserved(self.seed)
         if not (self.data or own_flights):
             raise ValueError(

@@ -68,7 +68,7 @@ def test_a_log_of_the_firmware_has_the_readings_that_it_was_given():
 
 def test_a_log_of_the_firmware_passes_the_checks_of_its_frames():
     _, report = reported(TURNING)
-    assert report.truth_axes == "imu"
+    assert report.log.truth_axes == "imu"
     assert not [each for each in report.warnings if "disagree" in each or "gyroscope" in each]
 
 

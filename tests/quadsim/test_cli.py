@@ -141,7 +141,7 @@ def test_tuning_writes_the_whole_command_and_evaluation_reads_the_values(printed
     refused(*tune, "truth")
     given = ["--data", dataset, "--estimator", "madgwick", "--set", f"tuning={tmp_path / 'mine.toml'}"]
     out = printed("evaluate", *given, "--out", tmp_path / "scores")
-    assert "the smallest error from an unknown start is madgwick's" in out
+    assert "madgwick has the smallest error from an unknown start" in out
     written = {"evaluation.csv", "violins.png", "convergence.png", "report.html"}
     assert {each.name for each in (tmp_path / "scores").iterdir()} == written
 
