@@ -20,7 +20,6 @@ app = typer.Typer(
     name="quadsim",
     help="Fly a simulated quadrotor with attitude from any estimator, and see which one to trust.",
     epilog="Start here: quadsim demo --out reports/demo",
-    no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
@@ -84,9 +83,11 @@ def main() -> None:
         sys.path.append(os.getcwd())  # for "module:Class" of the user's
     logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
     try:
-        app(prog_name="quadsim")
-    except (ValueError, OSError, ModuleNotFoundError) as error:
+        code = app(sys.argv[1:] or ["--help"], prog_name="quadsim", standalone_mode=False)
+    except (ValueError, OSError, ModuleNotFoundError, typer.TyperException) as error:
         message = str(error) or type(error).__name__
+        if isinstance(error, typer.TyperException):
+            message = f"{error.format_message().rstrip('.')} (see {' '.join(['quadsim', *_verb()])} --help)"
         if isinstance(error, OSError) and error.filename and error.strerror:
             message = f"{error.filename}: {error.strerror.lower()}"
         if isinstance(error, ModuleNotFoundError):
@@ -98,9 +99,13 @@ def main() -> None:
             f"quadsim: {' '.join(message.split())}", style="red", markup=False, soft_wrap=True
         )
         sys.exit(2)
-    except SystemExit as end:
-        if end.code == 130:  # typer's for Ctrl-C, and it says nothing
-            Console(stderr=True, emoji=False).print(
-                "quadsim: interrupted; finished work stays: give the same command again"
-            )
-        raise
+    if code == 130:  # typer's for Ctrl-C, and it says nothing
+        say = Console(stderr=True, emoji=False).print
+        say("quadsim: interrupted; finished work stays: give the same command again")
+    sys.exit(code or 0)
+
+
+def _verb() -> list[str]:
+    """The verb of the command line, if it has one."""
+    verbs = {command.name or getattr(command.callback, "__name__", "") for command in app.registered_commands}
+    return [each for each in sys.argv[1:2] if each in verbs]

@@ -72,6 +72,10 @@ def test_everything_that_ships_can_be_listed_with_a_sentence(printed):
 @pytest.mark.parametrize(
     ("command", "said"),
     [
+        ("fly", "Missing argument 'scenario' (see quadsim fly --help)"),
+        ("export att-snn", "Missing option '--out' (see quadsim export --help)"),
+        ("generate --out x.zarr --flights some", "'--flights'"),
+        ("flyy hover", "Did you mean 'fly'? (see quadsim --help)"),
         ("generate --out x.zarr --set vehicle=humingbird", "hummingbird"),
         ("generate --out x.zarr --set imu=missing.toml", "missing.toml"),
         ("generate --out /proc/x.zarr --flights 1 --duration 1", "/proc/x.zarr"),
