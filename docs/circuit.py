@@ -249,7 +249,7 @@ def front(part: Part, data: Path, means: pd.DataFrame) -> list[Row]:
     left.set(xlabel="neurons", ylabel="error [°]", ylim=(0, None))
     right.set(xlabel="spikes per second")
     right.set_xlim(0)
-    right.legend(frameon=False, loc="upper right")
+    right.legend(frameon=False, loc="lower left")
     part.save(figure, "circuit-front.png", dpi=120)
     return [
         (name.replace(SPIKES, "seed 1, ships"), neurons[name], f"{spikes[name]:,.0f}", *means[name])
