@@ -54,6 +54,7 @@ def quadsim(monkeypatch, capsys, tmp_path):
     """Run the command line in an empty folder: (exit code, standard output, standard error)."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)  # `main` sets its own
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["quadsim", *map(str, arguments)])

@@ -4,11 +4,13 @@ This is the only part of `quadsim` that imports the packages above it, and it do
 that `--help` is fast.
 """
 
+import _thread
 import logging
 import os
 import sys
 from importlib.metadata import version
 from io import TextIOWrapper
+from threading import Timer
 from typing import Annotated
 
 import typer
@@ -74,6 +76,14 @@ EXTRAS = {
 """Packages that not every installation has, and the extra that brings each."""
 
 
+def repeat_interrupt(lost: "sys.UnraisableHookArgs") -> None:
+    """Send a Ctrl-C again that Python drops, as in a callback from C: numba's compiler makes many."""
+    if lost.exc_type is KeyboardInterrupt:
+        Timer(0.1, _thread.interrupt_main).start()  # by then, the callback has returned
+    else:
+        sys.__unraisablehook__(lost)
+
+
 def main() -> None:
     """Run the command line. A user's mistake prints a message of one line and exits with code 2."""
     for stream in (sys.stdout, sys.stderr):
@@ -82,6 +92,7 @@ def main() -> None:
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())  # for "module:Class" of the user's
     logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
+    sys.unraisablehook = repeat_interrupt
     try:
         code = app(sys.argv[1:] or ["--help"], prog_name="quadsim", standalone_mode=False)
     except (ValueError, OSError, ModuleNotFoundError, typer.TyperException) as error:

@@ -1,7 +1,10 @@
 """The command line: what it says to a newcomer, to a mistake, and at the end of the work."""
 
+import ctypes
 import re
+import signal
 import sys
+import time
 from types import SimpleNamespace
 
 import pytest
@@ -9,7 +12,7 @@ from filelock import FileLock
 from typer.main import get_command
 
 from estimators.networks.weights_file import load_network
-from quadsim.cli import app
+from quadsim.cli import app, repeat_interrupt
 from quadsim.cli.catalogue import HOW
 from quadsim.cli.options import pair_of
 from quadsim.runs.record import load_record
@@ -242,6 +245,13 @@ def test_ctrl_c_exits_as_interrupted_also_where_a_training_ends_in_order(quadsim
     assert code == 130
     assert "interrupted; finished work stays" in err
     assert "best.safetensors" in out
+
+
+def test_ctrl_c_in_a_callback_from_c_interrupts_too(monkeypatch):
+    monkeypatch.setattr(sys, "unraisablehook", repeat_interrupt)
+    ctypes.CFUNCTYPE(None)(lambda: signal.raise_signal(signal.SIGINT))()  # Python drops this one
+    with pytest.raises(KeyboardInterrupt):
+        time.sleep(10)
 
 
 def test_what_is_refused_before_any_work_shows_one_line_and_no_bar(quadsim):
