@@ -10,6 +10,7 @@ import os
 import sys
 from importlib.metadata import version
 from io import TextIOWrapper
+from signal import SIGINT, SIGTERM, default_int_handler, getsignal
 from threading import Timer
 from typing import Annotated
 
@@ -79,7 +80,8 @@ EXTRAS = {
 def repeat_interrupt(lost: "sys.UnraisableHookArgs") -> None:
     """Send a Ctrl-C again that Python drops, as in a callback from C: numba's compiler makes many."""
     if lost.exc_type is KeyboardInterrupt:
-        Timer(0.1, _thread.interrupt_main).start()  # by then, the callback has returned
+        signals = [each for each in (SIGINT, SIGTERM) if getsignal(each) is default_int_handler]
+        Timer(0.1, _thread.interrupt_main, signals[:1]).start()  # by then, the callback has returned
     else:
         sys.__unraisablehook__(lost)
 

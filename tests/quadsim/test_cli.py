@@ -247,11 +247,18 @@ def test_ctrl_c_exits_as_interrupted_also_where_a_training_ends_in_order(quadsim
     assert "best.safetensors" in out
 
 
-def test_ctrl_c_in_a_callback_from_c_interrupts_too(monkeypatch):
+@pytest.mark.parametrize("other", [signal.default_int_handler, signal.SIG_IGN])  # ignored in the background
+def test_a_signal_in_a_callback_from_c_interrupts_too(monkeypatch, other):
     monkeypatch.setattr(sys, "unraisablehook", repeat_interrupt)
-    ctypes.CFUNCTYPE(None)(lambda: signal.raise_signal(signal.SIGINT))()  # Python drops this one
-    with pytest.raises(KeyboardInterrupt):
-        time.sleep(10)
+    handlers = {signal.SIGTERM: signal.default_int_handler, signal.SIGINT: other}
+    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    try:
+        ctypes.CFUNCTYPE(None)(lambda: signal.raise_signal(signal.SIGTERM))()  # Python drops this one
+        with pytest.raises(KeyboardInterrupt):
+            time.sleep(10)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def test_what_is_refused_before_any_work_shows_one_line_and_no_bar(quadsim):
