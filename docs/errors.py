@@ -125,12 +125,12 @@ def package_vqf() -> Made:
 WITHOUT_DRAG = ("mahony", "madgwick", "ekf", "eskf", "vqf")
 ALONE = "att-snn-paper"
 ROWS = {
-    "best": "best of `mahony`, `madgwick`, `ekf`, `eskf` and `vqf`",
+    "best": "best of five filters: `mahony`, `madgwick`, `ekf`, `eskf`, `vqf`",
     "imm": "`imm`, needs no vehicle data",
     "ekf-drag": "`ekf-drag`, given the vehicle's drag",
     "att-snn-loihi": "**Att-SNN on the emulated chip**",
     "att-rnn": "Att-RNN, the same network in floats",
-    ALONE: "the paper's network, trained for this Hummingbird only",
+    ALONE: "network of [the paper](docs/paper.md), trained on Hummingbird flights only",
     LEVEL: "always level",
 }
 COLUMNS = {
