@@ -9,7 +9,7 @@ import pandas as pd
 import xarray as xr
 from errors import on_flights, with_silenced
 from pages import Part, Row, Values, span
-from simulated import DESCRIPTION, DURATION_S, PLANS, ROTORPY_S, SETS, foreign, simulated
+from simulated import DURATION_S, PLAN, PLANS, ROTORPY_S, SETS, foreign, simulated
 
 from estimators import create, names
 from estimators.evaluation.comparison import Evaluation, behind_the_best, evaluate
@@ -161,6 +161,6 @@ def filters(part: Part, given: Namespace) -> Values:
         "pieces": str(PIECES),
         "piece_s": f"{DURATION_S / PIECES:g}",
         "foreign_piece_s": f"{ROTORPY_S / PIECES:g}",
-        "rotorpy": DESCRIPTION,
+        "rotorpy": PLAN,
         "recovered": f"{RECOVERED_S:g}",
     }
