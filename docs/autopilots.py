@@ -166,8 +166,8 @@ def betaflight(part: Part, given: Namespace) -> Values:
             *(flight_row(name, "angle", each) for name, each in zip(SCENARIOS, suite, strict=True)),
             *(flight_row(name, "rate", each) for name, each in zip(RATE_MODE, rate, strict=True)),
         ],
-        "repeats": f"The scenario `{REPEATED}` was flown {REPEATS} times for {SHORT_S:g} s with the same seed. "
-        f"The standard deviation is {(ends - ends[0]).std(ddof=1):.3g} m for the final distance from the "
-        f"set-point and {(means - means[0]).std(ddof=1):.3g}° for the error of the estimate. The estimates are "
-        f"{'equal, bit for bit' if same else 'not equal'}.",
+        "repeats": f"The scenario `{REPEATED}` was flown {REPEATS} times for {SHORT_S:g} s with the same "
+        f"seed. The standard deviation is {(ends - ends[0]).std(ddof=1):.3g} m for the final distance from "
+        f"the set-point and {(means - means[0]).std(ddof=1):.3g}° for the error of the estimate. The "
+        f"estimates are {'equal, bit for bit' if same else 'not equal'}.",
     }
