@@ -117,8 +117,8 @@ def sentence(errors: dict[str, Array]) -> str:
         how = "smaller" if behind.mean() < 0 else "larger"
         if abs(behind.mean()) <= interval(behind):
             how = "not significantly different"
-        words[how].append(f"`{name}` {errors[name].mean():.2f}°")
-    return listed([f"{how} ({', '.join(of)})" for how, of in words.items() if of])
+        words[how].append(f"`{name}` ({errors[name].mean():.2f}°)")
+    return ", and ".join(f"{how} for {listed(of)}" for how, of in words.items() if of)
 
 
 def flight_row(scenario: str, mode: str, flight: Flight) -> Row:
@@ -154,10 +154,10 @@ def betaflight(part: Part, given: Namespace) -> Values:
     count = EACH * len(SCENARIOS)
     return {
         "verdict": f"Betaflight's estimator has an error of {own:.2f}° (95 % interval "
-        f"{span(own - half, own + half)}°) over {count} flights, of which {crashes} crashed. On the same "
-        f"readings, quadsim's estimators have errors that are {sentence(both[0])}.",
-        "calibrated": f"With a calibrated gyroscope, its error is {theirs:.2f}°, and quadsim's "
-        f"estimators have errors that are {sentence(both[1])}.",
+        f"{span(own - half, own + half)}°) over {count} flights; {crashes or 'none'} of them crashed. On the "
+        f"same readings, the errors of quadsim's estimators are {sentence(both[0])}.",
+        "calibrated": f"With a calibrated gyroscope, its error is {theirs:.2f}°, and the errors of quadsim's "
+        f"estimators are {sentence(both[1])}.",
         "version": version("betaflight"),
         "flights": str(count),
         "each": str(EACH),
@@ -166,8 +166,8 @@ def betaflight(part: Part, given: Namespace) -> Values:
             *(flight_row(name, "angle", each) for name, each in zip(SCENARIOS, suite, strict=True)),
             *(flight_row(name, "rate", each) for name, each in zip(RATE_MODE, rate, strict=True)),
         ],
-        "repeats": f"{REPEATS} flights of `{REPEATED}` ({SHORT_S:g} s) with the same seed have standard "
-        f"deviations of {(ends - ends[0]).std(ddof=1):.3g} m in the final distance from the set-point and "
-        f"{(means - means[0]).std(ddof=1):.3g}° in the error of the estimate. Their estimates are "
-        f"{'equal in every bit' if same else 'not equal'}.",
+        "repeats": f"The scenario `{REPEATED}` was flown {REPEATS} times for {SHORT_S:g} s with the same "
+        f"seed. The standard deviation is {(ends - ends[0]).std(ddof=1):.3g} m for the final distance from "
+        f"the set-point and {(means - means[0]).std(ddof=1):.3g}° for the error of the estimate. The "
+        f"estimates are {'equal, bit for bit' if same else 'not equal'}.",
     }

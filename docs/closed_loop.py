@@ -118,9 +118,11 @@ def ranges(held_out: HeldOut) -> list[Row]:
     said = {
         "kind of flight": "hover, a figure of eight, random manoeuvres",
         "mean wind, from any side": "{}–{} m/s".format(*held_out.wind),
-        "Dryden turbulence, in half of them": "wind at 20 ft of {}–{} m/s".format(*held_out.wind_20ft),
-        "lap of the figure of eight": "{}–{} s".format(*held_out.period_s),
-        "largest tilt of random manoeuvres": "{}–{}°".format(*held_out.tilt_deg),
+        "Dryden turbulence, in half of the scenarios": "wind at a height of 20 ft: {}–{} m/s".format(
+            *held_out.wind_20ft
+        ),
+        "duration of a lap of the figure of eight": "{}–{} s".format(*held_out.period_s),
+        "largest tilt in random manoeuvres": "{}–{}°".format(*held_out.tilt_deg),
     }
     levels = {axis: ", ".join(of) for axis, of in AXES.axes.items()}
     return list((said | levels).items())
@@ -261,11 +263,11 @@ def suite(part: Part, given: Namespace) -> Values:
     judged, (loop, price) = verdict(results), delays()
     ranked = [each.estimator for each in judged.standings if each.estimator not in results.unranked]
     part.save(heat_map(results, ranked), "heat-map.png", colours=128)
-    size = f"{len(results.scenarios)} scenarios × {len(names)} estimators × {SEEDS} seeds"
+    size = f"{len(names)} estimators flew {len(results.scenarios)} scenarios with {SEEDS} seeds each"
     return {
         "verdict": judged.headline,
         "conditions": fill(f"{conditions(results.scenarios)} {recommendation().elsewhere}", 125),
-        "suite": f"{size}: {results.cost}.",
+        "suite": f"{size} ({results.cost}).",
         "seeds": str(SEEDS),
         "breaking_seeds": str(BREAKING.seeds),
         "long_s": f"{LONG_S:g}",

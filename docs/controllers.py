@@ -27,6 +27,7 @@ from quadsim.imu.spec import load_imu
 from quadsim.rotation import roll_pitch_from_quat
 from quadsim.vehicle import GRAVITY, load_vehicle
 from scenarios.bench.controllers import controller_of
+from scenarios.bench.ranking import listed
 
 Array = NDArray[np.float64]
 OUT = ROOT / "reports" / "control"
@@ -212,6 +213,6 @@ def controllers(part: Part, given: Namespace) -> Values:
         "elsewhere": elsewhere(),
         "flights": str(SEEDS * len(rows) // len(NAMES)),
         "seeds": str(SEEDS),
-        "nominal": ", ".join(NOMINAL),
-        "aggressive": ", ".join(AGGRESSIVE),
+        "nominal": listed(NOMINAL),
+        "aggressive": listed(AGGRESSIVE),
     }

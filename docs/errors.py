@@ -170,7 +170,7 @@ def readme(part: Part, given: Namespace) -> Values:
 
 # --- real recordings ------------------------------------------------------------------------------
 
-SCORED = ("imm", "vqf", "eskf", "mahony", "att-snn", "att-rnn")
+SCORED = ("imm", "vqf", "eskf", "mahony", "madgwick", "att-snn", "att-rnn")
 SETTLED_S = 3.0
 """Time at the start of a simulated flight that is not scored [s]."""
 SIMULATED = {

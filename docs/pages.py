@@ -47,7 +47,7 @@ PARTS = {
 }
 """Parts, the page that each stands in, and the script and function that measure it."""
 STAMP = re.compile(
-    r"(?P<older>\*Made at commit [\w-]+; the code has changed since\.\*\n\n)?"
+    r"(?P<older>\*[^*\n]+ at commit [\w-]+[^*\n]* has changed since[^*\n]*\*\n\n)?"
     r"<!-- made by: (?P<command>[^;]+); commit (?P<commit>[\w-]+); "
     r"code (?P<code>\w+); text (?P<text>\w+) -->\n"
 )
@@ -138,7 +138,7 @@ class Part(NamedTuple):
         before, body, found, after = self.split()
         if found is None:
             raise ValueError(f"{self.path.name}: part {self.name} has no stamp")
-        older = f"*Made at commit {found['commit']}; the code has changed since.*\n\n"
+        older = f"*This part was made at commit {found['commit']}. The code has changed since then.*\n\n"
         stamp = _stamp(found["command"], found["commit"], found["code"], self.digest(body))
         text = f"{before}{body}{older * (found['code'] != self.code)}{stamp}{after}"
         self.path.write_text(text, "utf-8")

@@ -68,8 +68,8 @@ PLAN = (
     "[RotorPy](https://github.com/spencerfolk/rotorpy)"
 )
 DESCRIPTION = (
-    f"{PLAN}, a simulator by other authors: its Hummingbird and "
-    "Crazyflie, its aerodynamics, wind, trajectories and controller, with our model of the IMU"
+    f"{PLAN}, a simulator by other authors. Vehicles (Hummingbird and Crazyflie), aerodynamics, wind, "
+    "trajectories and controller are those of RotorPy. The IMU is our model"
 )
 """Of the flights, for the pages."""
 

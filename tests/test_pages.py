@@ -86,7 +86,7 @@ def test_a_part_whose_code_or_assets_changed_is_listed_and_no_failure(
     part.restamp()
     after = part.split()[2]
     assert (after["commit"], after["code"]) == (before["commit"], before["code"])
-    note = f"*Made at commit {before['commit']}; the code has changed since.*"
+    note = f"*This part was made at commit {before['commit']}. The code has changed since then.*"
     assert part.path.read_text().count(note) == older
 
 

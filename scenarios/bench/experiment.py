@@ -30,9 +30,9 @@ class Condition(Strict):
     """Levels of an axis for which the verdict has a clause of its own."""
 
     name: str
-    """Begins its line, "With the airframe's drag known"."""
+    """Begins its line, "With known drag"."""
     clause: str
-    """Its end of the headline, "where the airframe's drag is known"."""
+    """Its end of the headline, "if the airframe's drag is known"."""
     axis: str
     levels: tuple[str, ...]
 

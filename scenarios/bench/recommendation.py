@@ -24,8 +24,8 @@ class Recommendation(NamedTuple):
     def elsewhere(self) -> str:
         """A sentence for reports of other flights."""
         return (
-            f"In general: {self.sentence} (Held-out suite of release {self.release}, which varies all of "
-            "these and the wind; crashes count before errors.)"
+            f"The recommendation of release {self.release} is: {self.sentence} It comes from a held-out "
+            "suite that varies all of these conditions and the wind, and it counts crashes before errors."
         )
 
 

@@ -133,17 +133,17 @@ def shown(error_deg: float | None) -> str:
 def conditions(scenarios: Mapping[str, Scenario]) -> str:
     """What the scenarios have in common, and how many differ, in a sentence."""
     aspects: dict[str, Callable[[Scenario], str]] = {
-        "airframe": lambda each: Path(each.vehicle).stem,
-        "its drag": _drag,
-        "IMU": lambda each: Path(each.imu).stem,
-        "initial attitude": _initial,
+        "the airframe is": lambda each: Path(each.vehicle).stem,
+        "its drag is": _drag,
+        "the IMU is": lambda each: Path(each.imu).stem,
+        "the initial attitude is": _initial,
     }
     found = []
     for aspect, level_of in aspects.items():
         counts = Counter(map(level_of, scenarios.values())).most_common()
         each = [f"{level} in {_count(times, 'scenario')}" for level, times in counts]
-        found.append(f"{aspect} {', '.join(each) if len(counts) > 1 else counts[0][0]}")
-    return f"Conditions: {'; '.join(found)}."
+        found.append(f"{aspect} {listed(each) if len(counts) > 1 else counts[0][0]}")
+    return f"In these flights, {'; '.join(found)}."
 
 
 # --- the table ------------------------------------------------------------------------------------
@@ -219,7 +219,7 @@ def _headline(results: Results, whole: Choice, measure: Measure) -> str:
     left = [name for name in results.scenarios if name not in whole.lost]
     if not left:
         return f"No estimator survives {_where(whole.lost, 'any of these')}."
-    text, seeds = f"in {_where(left, 'these')} {recommended(whole, measure)}", results.settings.seeds
+    text, seeds = f"in {_where(left, 'these')}, {recommended(whole, measure)}", results.settings.seeds
     if seeds < FEW and len(whole.best) > 1:
         few = f"{_count(seeds, 'flight')} of each in a scenario {'is' if seeds == 1 else 'are'} too few"
         text += f" {few} to choose between them."
@@ -241,19 +241,21 @@ def _headline_of(
         named = listed([said(place.name, measure) for place in everywhere], "or")
         fates = listed(list(dict.fromkeys(place.fate for place in everywhere)), "or")
         return f"{_fly(results, whole)} {named}, {results.experiment.always} ({fates})."
-    clauses = ", ".join(f"{_first_of(places, measure)} {clause}" for clause, places in best.items())
+    clauses = [f"{_first_of(places, measure)} {clause}" for clause, places in best.items()]
     unfit = [each.clause for each, _ in found if each.clause not in best]
     rest = f"; no estimator is fit to fly {listed(unfit, 'or')}" if unfit else ""
-    return f"{_fly(results, whole)} {clauses}{rest}."
+    if len(clauses) > 1 and not rest:
+        clauses[-1] = f"and {clauses[-1]}"
+    return f"{_fly(results, whole)} {'; '.join(clauses)}{rest}."
 
 
 def _fly(results: Results, whole: Choice) -> str:
     """Begin a headline: where nothing survives, and on which flights the rest of it was found."""
-    fly = "Fly" if results.experiment.held_out else f"On these {len(results.scenarios)} combinations fly"
+    fly = "Fly" if results.experiment.held_out else f"On these {len(results.scenarios)} combinations, fly"
     if results.partial:
-        fly = f"On a part of the held-out suite ({results.partial}) fly"
+        fly = f"On a part of the held-out suite ({results.partial}), fly"
     if whole.lost:
-        return f"No estimator survives {_where(whole.lost, 'any of')}; elsewhere {fly[0].lower()}{fly[1:]}"
+        return f"No estimator survives {_where(whole.lost, 'any of')}; elsewhere, {fly[0].lower()}{fly[1:]}"
     return fly
 
 
@@ -299,7 +301,7 @@ def _number(value: float | None) -> str:
 def _drag(scenario: Scenario) -> str:
     if not scenario.vehicle_known:
         return "not known"
-    return "known" if scenario.drag_factor == 1.0 else f"{scenario.drag_factor:g} times what is known"
+    return "known" if scenario.drag_factor == 1.0 else f"{scenario.drag_factor:g} times the known value"
 
 
 def _initial(scenario: Scenario) -> str:

@@ -227,7 +227,7 @@ def test_bench_leaves_the_slow_out_and_its_reports_say_how_they_were_made(printe
     out = printed("bench", *flown)
     assert "Without ukf-filterpy (ten times as slow as ekf-filterpy), att-snn (the" in out
     assert "2 flights, 1 s in the air; " in out
-    assert "Conditions: airframe hummingbird; its drag known; IMU adis16448" in out
+    assert "In these flights, the airframe is hummingbird; its drag is known; the IMU is adis16448" in out
     text = (tmp_path / "report.html").read_text()
     assert "<dt>command</dt>" in text
     assert "--scenario hover --seeds 1" in text
