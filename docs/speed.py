@@ -1,6 +1,6 @@
 """The page speed.md: `OMP_NUM_THREADS=1 python docs/pages.py speed`.
 
-It measures speed on one thread, beside other libraries: `pip install crazyflow rotorpy`. crazyflow needs
+It measures speed on one thread, beside other libraries: `pip install crazyflow norse`. crazyflow needs
 `SCIPY_ARRAY_API=1`.
 """
 
@@ -12,7 +12,7 @@ from importlib.util import find_spec
 import pandas as pd
 from pages import ROOT, Part, Values, confirmed
 
-PEERS = ("crazyflow", "rotorpy", "norse", "snntorch")
+PEERS = ("crazyflow", "norse")
 STATED = {
     "bulk: controller, IMU, recording": ("over_raw", 0.25),
     "environment, n = 1": ("over_raw", 1.4),
