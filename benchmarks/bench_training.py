@@ -120,7 +120,7 @@ def same_outputs(variant: str, n: int = 4, steps: int = 200) -> bool:
     return bool((found[:, : steps - early] - expected[:, early:]).abs().max() < 1e-4)
 
 
-def measure(rounds: int = 5) -> pd.DataFrame:
+def measure(rounds: int = 9) -> pd.DataFrame:
     """Let all variants take turns; a row of the table for each.
 
     Raises:

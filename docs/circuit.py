@@ -188,7 +188,6 @@ def neurons() -> list[Row]:
 
 def by_steps(data: Path) -> tuple[list[Row], list[Row]]:
     """What the circuit does on the Hummingbird's test flights, and with fewer steps and spikes per sample."""
-    simulated("test", data)
     config, p = load_circuit(NAME)
     found = {
         steps: measure(config.model_copy(update={"steps_per_sample": steps}), p, [data / "test.zarr"])

@@ -18,10 +18,8 @@ from pages import ROOT, Part, Row, Values, number, table
 from estimators.networks.network import silenced
 from estimators.networks.weights_file import load_network, save_network
 from estimators.registry import NETWORKS
-from quadsim.control.gains import loop_margins
 from quadsim.held_out import HeldOut, load_held_out, releases
 from quadsim.runs.console import progress_bar
-from quadsim.vehicle import load_vehicle
 from scenarios.bench.cell import FlightSettings
 from scenarios.bench.controllers import default_estimators
 from scenarios.bench.experiment import load_experiment
@@ -38,7 +36,6 @@ SEEDS = 20
 SILENCED = OUT / "silenced.safetensors"
 """A network with output weights of zero."""
 SWEEPS = ("constant wind", "step of the gyro bias", "lost samples")
-DELAYS_MS = (0, 5, 15, 30, 60, 100)
 BEHIND, TRACKING = "error minus that of rank 1 [°]", "attitude tracking [°]"
 
 
@@ -165,23 +162,6 @@ def suite_standings(judged: Verdict, silent: Results) -> pd.DataFrame:
     return found[["estimator", "crashed", "error [°]", "silenced network [°]", BEHIND, TRACKING]]
 
 
-def breaking_points(results: Results) -> list[Row]:
-    """The least level of each disturbance at which an estimator crashed."""
-    return [(name, *(results.breaking_point(sweep, name) for sweep in SWEEPS)) for name in results.estimators]
-
-
-def delays() -> list[Row]:
-    """Margins of the attitude loop at each delay of the estimator."""
-    vehicle, rows = load_vehicle("hummingbird"), []
-    assert vehicle.controller is not None
-    for ms in DELAYS_MS:
-        m = loop_margins(vehicle, vehicle.controller, estimator_delay=ms / 1e3)["attitude"]
-        stable = "barely" if m.phase_deg > 0 and m.gain_db > 0 else "unstable"
-        affordable = "yes" if m.phase_deg >= 45 and m.gain_db >= 6 else stable
-        rows.append((ms, f"{m.phase_deg:.0f}", f"{m.gain_db:.1f}", f"{m.delay_ms:.0f}", affordable))
-    return rows
-
-
 def suite(part: Part, given: Namespace) -> Values:
     """Fly the suite and breaking points, and draw errors by scenario."""
     OUT.mkdir(parents=True, exist_ok=True)
@@ -203,6 +183,5 @@ def suite(part: Part, given: Namespace) -> Values:
         "seeds": str(SEEDS),
         "breaking_seeds": str(BREAKING.seeds),
         "standings": suite_standings(judged, silent),
-        "breaking": breaking_points(breaking),
-        "loop": delays(),
+        "breaking": [(name, *(breaking.breaking_point(sweep, name) for sweep in SWEEPS)) for name in names],
     }

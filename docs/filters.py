@@ -1,7 +1,6 @@
 """The estimators on flights that were not used for tuning or training."""
 
 from argparse import Namespace
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from simulated import DESCRIPTION, DURATION_S, PLANS, ROTORPY_S, SETS, foreign, 
 from estimators import create, names
 from estimators.evaluation.comparison import Evaluation, behind_the_best, evaluate
 from estimators.evaluation.error_figures import settling, violins
-from estimators.evaluation.flights import Flights, load_flights, vehicle_of
+from estimators.evaluation.flights import load_flights, vehicle_of
 from estimators.metrics import attitude_error, inclination_error
 from estimators.registry import FILTERPY
 from estimators.running import run_quietly
@@ -92,33 +91,23 @@ def results(done: Evaluation, domain: str, data: Path) -> list[Row]:
     return rows
 
 
-def mean_error(name: str, flights: Flights, domain: str, vehicle: Vehicle | None) -> float:
-    """Mean over flights of the mean absolute error [deg]."""
-    est = create(name, flights.rate_hz, tuning=tuning_of(name, domain), vehicle=vehicle)
-    estimate = run_quietly(est, Readings(flights.gyro, flights.accel), flights.start)
-    return attitude_error(estimate, flights.truth).mean
-
-
-def elsewhere(data: Path) -> Iterator[tuple[str, str, xr.Dataset]]:
-    """Other kinds of flight: what they are, the domain of the tuned parameters, and the dataset."""
-    for name, (what, domain) in ELSEWHERE.items():
-        yield what, domain, simulated(name, data)
+def elsewhere(data: Path) -> list[Row]:
+    """Errors on other kinds of flight, started in motion, with the drag right, wrong and absent."""
+    sets = [(what, domain, simulated(name, data)) for name, (what, domain) in ELSEWHERE.items()]
     for airframe, dataset in zip(PLANS, foreign(data), strict=True):
         for wind, what in ROTORPY_WINDS.items():
-            chosen = np.flatnonzero(dataset["wind_model"] == wind)
-            yield f"RotorPy's {airframe}, {what}", next(iter(DOMAINS)), dataset.isel(flight=chosen)
-
-
-def elsewhere_errors(data: Path) -> list[Row]:
-    """Errors on other kinds of flight, started in motion, with the drag right, wrong and absent."""
+            chosen = dataset.isel(flight=np.flatnonzero(dataset["wind_model"] == wind))
+            sets.append((f"RotorPy's {airframe}, {what}", next(iter(DOMAINS)), chosen))
     rows = []
-    for what, domain, dataset in elsewhere(data):
+    for what, domain, dataset in sets:
         flights, vehicle = load_flights([dataset]).pieces(PIECES), vehicle_of(dataset)
-        assert vehicle is not None
-        drags = [
-            mean_error("ekf-drag", flights, domain, with_drag(vehicle, k)) for k in (1.0, 0.5, 2.0, 0.01)
-        ]
-        rows.append((what, *drags, *(mean_error(name, flights, domain, None) for name in ("vqf", "eskf"))))
+        given = [("ekf-drag", with_drag(vehicle, k)) for k in (1.0, 0.5, 2.0, 0.01)]
+        errors = []
+        for name, airframe in [*given, ("vqf", None), ("eskf", None)]:
+            est = create(name, flights.rate_hz, tuning=tuning_of(name, domain), vehicle=airframe)
+            estimate = run_quietly(est, Readings(flights.gyro, flights.accel), flights.start)
+            errors.append(attitude_error(estimate, flights.truth).mean)
+        rows.append((what, *errors))
     return rows
 
 
@@ -147,7 +136,7 @@ def spoilt(dataset: xr.Dataset, domain: str) -> pd.DataFrame:
 
 def filters(part: Part, given: Namespace) -> Values:
     """Measure everything, and draw."""
-    tables = {"elsewhere": elsewhere_errors(given.data)}
+    tables = {"elsewhere": elsewhere(given.data)}
     sets = {domain: simulated(name, given.data) for domain, name in DOMAINS.items()}
     for domain, dataset in sets.items():
         done = compared(part, domain, dataset)

@@ -43,9 +43,9 @@ def speed(part: Part, given: Namespace) -> Values:
     from benchmarks import bench_filters, bench_simulation, bench_training
 
     estimators = kept(bench_filters.measure())
-    training = bench_training.measure(given.rounds).map("{:.3g}".format)
+    training = bench_training.measure().map("{:.3g}".format)
     return {
-        "steps": list(kept(bench_simulation.measure(given.rounds)).itertuples(name=None)),
+        "steps": list(kept(bench_simulation.measure()).itertuples(name=None)),
         "estimators": [(name, f"{ns:.0f}", ratio) for name, ns, ratio in estimators.itertuples(name=None)],
         "training": list(training.itertuples(name=None)),
     }
