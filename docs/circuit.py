@@ -26,7 +26,6 @@ from estimators.evaluation.logs import RAW
 from estimators.metrics import Summary
 from estimators.networks.network import NetworkEstimator
 from quadsim.estimator import AttitudeEstimator
-from quadsim.runs.console import progress_bar
 from quadsim.runs.fingerprint import ASSETS
 
 Array = NDArray[np.float64]
@@ -118,11 +117,9 @@ def errors_by_set(given: Namespace) -> dict[str, pd.DataFrame]:
         sets[name] = [Generated(recipe, FLIGHTS, seed, changes, DURATION_S).at(path)]
     sets["RotorPy"] = foreign(given.data)
     found = {}
-    with progress_bar("circuit", "sets") as bar:
-        for k, (name, flights) in enumerate(sets.items()):
-            bar(k, len(sets), name)
-            errors = on_flights(lambda _: made, flights).sequences.droplevel("initial")
-            found[name] = pd.DataFrame(errors.to_list(), errors.index)
+    for name, flights in sets.items():
+        errors = on_flights(lambda _: made, flights).sequences.droplevel("initial")
+        found[name] = pd.DataFrame(errors.to_list(), errors.index)
     scores = on_recordings(made, given.recordings)
     found |= {f"{name}, real": each.on_logs(RAW) for name, each in scores.items()}
     return {name: each.loc[list(made)] for name, each in found.items()}

@@ -19,7 +19,6 @@ from estimators.registry import FILTERPY
 from estimators.running import run_quietly
 from estimators.tuned import load_tuning
 from quadsim.estimator import AttitudeEstimator, Readings
-from quadsim.runs.console import progress_bar
 from quadsim.vehicle import Vehicle, with_drag
 
 DOMAINS = {"hummingbird-adis16448": "test", "px4-quad-px4-mini": "test-px4"}
@@ -66,8 +65,7 @@ def made(domain: str, vehicle: Vehicle | None) -> dict[str, AttitudeEstimator]:
 
 def compared(part: Part, domain: str, dataset: xr.Dataset) -> Evaluation:
     """All estimators on the domain's test flights; draws the figures."""
-    with progress_bar(domain, "runs") as bar:
-        done = evaluate(dataset, made(domain, vehicle_of(dataset)), slow_flights=SLOW_FLIGHTS, progress=bar)
+    done = evaluate(dataset, made(domain, vehicle_of(dataset)), slow_flights=SLOW_FLIGHTS)
     for name, figure in {"violins": violins(done), "convergence": settling(done)}.items():
         part.save(figure, f"filters-{name}-{domain}.png", dpi=110)
     return done
