@@ -8,7 +8,6 @@ import numpy as np
 import pandas as pd
 from errors import on_flights, on_recordings
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from pages import Part, Row, Values, span
 from simulated import Generated, foreign, simulated
 
@@ -28,7 +27,6 @@ from estimators.networks.network import NetworkEstimator
 from quadsim.estimator import AttitudeEstimator
 from quadsim.runs.fingerprint import ASSETS
 
-Array = NDArray[np.float64]
 NAME = "att-snn"
 FLIGHTS, DURATION_S = 6, 60.0
 TUMBLING = {

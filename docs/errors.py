@@ -25,6 +25,7 @@ from estimators.evaluation.flights import load_flights, vehicle_of
 from estimators.evaluation.logs import KNOWN, LEVEL, RAW, SILENCED, LogScores, score_logs
 from estimators.filters.drag.imm_model import MODELS
 from estimators.networks.network import NetworkEstimator
+from estimators.registry import parameters
 from paper.plan import CHIP, RNN, SNN, sizes_of
 from paper.run import write_results
 from paper.stages import TUNING, WEIGHTS
@@ -40,13 +41,7 @@ HOME, ROTORPY, BROAD, PHANTOM4 = "Hummingbird", "RotorPy", "BROAD", "Phantom 4"
 FOLDERS = {BROAD: "broad", PHANTOM4: "phantom4"}
 SKIP_S = {BROAD: 3.0, PHANTOM4: 5.0}
 """Time at the start of a recording that is not scored [s]."""
-VQF_DEFAULTS = {
-    "tauAcc": 3.0,
-    "biasForgettingTime": 100.0,
-    "biasSigmaInit": 0.5,
-    "biasSigmaMotion": 0.1,
-    "biasSigmaRest": 0.03,
-}
+VQF_DEFAULTS = {key: each.default for key, each in parameters("vqf").items() if each.searched}
 PACKAGE = "vqf, package's parameters"
 
 

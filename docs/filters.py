@@ -17,9 +17,9 @@ from estimators.evaluation.flights import load_flights, vehicle_of
 from estimators.metrics import attitude_error, inclination_error
 from estimators.registry import FILTERPY
 from estimators.running import run_quietly
-from estimators.tuned import load_tuning
 from quadsim.estimator import AttitudeEstimator, Readings
 from quadsim.vehicle import Vehicle, with_drag
+from scenarios.bench.cell import tuning_of
 
 DOMAINS = {"hummingbird-adis16448": "test", "px4-quad-px4-mini": "test-px4"}
 """Domain to its test flights."""
@@ -47,11 +47,6 @@ SPOILT = {
 """Sensor, samples and their reading on every axis."""
 SPOILT_AT_S, RECOVERED_S = 20.0, 10.0
 """When that is, and how much later the estimate is compared with that of the undisturbed readings [s]."""
-
-
-def tuning_of(name: str, domain: str) -> str | None:
-    """The domain whose tuned parameters a filter has; None where it has its defaults."""
-    return domain if name in load_tuning(domain) else None
 
 
 def made(domain: str, vehicle: Vehicle | None) -> dict[str, AttitudeEstimator]:
