@@ -6,7 +6,6 @@ A run that is cut short resumes, as `quadsim bench` does.
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from datetime import date
-from textwrap import fill
 
 import matplotlib
 import numpy as np
@@ -27,7 +26,6 @@ from scenarios.bench.recommendation import Recommendation, recommendation, save_
 from scenarios.bench.results import Results
 from scenarios.bench.runner import bench
 from scenarios.bench.verdict import Verdict, conditions, shown, verdict
-from scenarios.report.page import publish
 
 OUT = ROOT / "reports" / "closed-loop"
 AXES, BREAKING = load_experiment("axes"), load_experiment("breaking-points")
@@ -171,14 +169,13 @@ def suite(part: Part, given: Namespace) -> Values:
     results = fly("suite", names, seeds=SEEDS)
     silent = fly("silenced", [str(SILENCED)], seeds=SEEDS)
     breaking = fly("breaking", names, "breaking-points")
-    publish(OUT / "suite", results)
     judged = verdict(results)
     ranked = [each.estimator for each in judged.standings if each.estimator not in results.unranked]
     part.save(heat_map(results, ranked), "heat-map.png", colours=128)
     size = f"{len(results.scenarios)} scenarios × {len(names)} estimators × {SEEDS} seeds"
     return {
         "verdict": judged.headline,
-        "conditions": fill(f"{conditions(results.scenarios)} {recommendation().elsewhere}", 125),
+        "conditions": f"{conditions(results.scenarios)} {recommendation().elsewhere}",
         "suite": f"{size}: {results.cost}.",
         "seeds": str(SEEDS),
         "breaking_seeds": str(BREAKING.seeds),
