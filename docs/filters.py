@@ -78,9 +78,9 @@ def results(done: Evaluation, domain: str, data: Path) -> list[Row]:
         name = each.estimator + ("*" if each.flights < done.table["flights"].max() else "")
         mean = f"{each.mean_deg:.2f} ({span(each.mean_low_deg, each.mean_high_deg)})"
         numbers = each.median_deg, mean, each.sd_deg, each.silenced_deg, behind_the_best(each)
-        elsewhere = with_silenced(abroad.loc[each.estimator, each.initial])
+        rotorpy = with_silenced(abroad.loc[each.estimator, each.initial])
         settled = [f"{s:.1f}" if np.isfinite(s) else "never" for s in (each.settle_20_s, each.settle_45_s)]
-        rows.append((name, each.initial, *numbers, each.inclination_rmse_deg, elsewhere, *settled))
+        rows.append((name, each.initial, *numbers, each.inclination_rmse_deg, rotorpy, *settled))
     return rows
 
 
