@@ -155,7 +155,7 @@ def print_verdict(page: Path, results: Results) -> None:
     output.print(standings_table(judged))
     if results.axes.keys() <= results.experiment.sweeps.keys():
         output.print(breaking_table(results))
-    if not results.experiment.axes:  # whose point are vehicles and IMUs that nobody tuned for
+    if not results.experiment.axes:  # which fly vehicles and IMUs without tuned parameters
         warn(results)
     for line in [f"{page}: {judged.headline}", *judged.lines]:
         say(line)
