@@ -50,7 +50,7 @@ BLOCK = re.compile(
 """A block of code of a tutorial: why it is not run, its language, the file that it belongs in, its text."""
 INSTALL = f"""```python
 # In a clone: python -m build --wheel. Put the wheel from dist/ beside this notebook.
-%pip install --quiet "quadsim-{version("quadsim")}-py3-none-any.whl[train,export,rl,cluster]"
+%pip install --quiet "quadsim-{version("quadsim")}-py3-none-any.whl[train,export,rl]"
 ```
 """
 STAMP = re.compile(r"<!-- made by: [^>]*-->\n?")
