@@ -97,7 +97,7 @@ def bench(
 
 
 def files_of(scenario: Scenario, contender: str) -> list[str | Path]:
-    """What a cell reads besides presets: weights, a user's code, set-points, wind."""
+    """What a cell reads besides presets: weights and a user's code."""
     name, controller = estimator_of(contender), controller_of(contender)
     found: list[str | Path] = [name] if is_weights(name) else [*own_sources(name)]
     if is_controller(controller):
@@ -105,7 +105,6 @@ def files_of(scenario: Scenario, contender: str) -> list[str | Path]:
         found += [path] if path.endswith(END) else []
     elif is_own(controller, GROUP):
         found += own_files(controller, GROUP)
-    found += [part.path for part in (scenario.trajectory, *scenario.wind) if part.kind == "file"]
     if scenario.trajectory.kind == "function":
         found += own_files(scenario.trajectory.function)
     return found
