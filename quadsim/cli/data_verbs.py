@@ -78,9 +78,9 @@ def export(
     format: Annotated[
         str | None,
         typer.Option(
-            help="For a dataset: netcdf, parquet (one flat table), huggingface (a folder with its card), csv "
-            "(EuRoC folders) or rosbag2. For weights: c99 (spiking networks), nir (networks of layers) or "
-            "onnx (GRU networks). For logs: zarr (a dataset). For FILE.nir, omit this option."
+            help="For a dataset: netcdf, parquet (one flat table) or huggingface (a folder). For weights: "
+            "c99 (spiking networks), nir (networks of layers) or onnx (GRU networks). For logs: zarr "
+            "(a dataset). For FILE.nir, omit this option."
         ),
     ] = None,
     piece: Annotated[float, typer.Option(min=1, help="For logs: length of the pieces, in seconds.")] = 20.0,

@@ -1,42 +1,21 @@
-"""Datasets in the formats of other tools: NetCDF, Parquet, Hugging Face, EuRoC (ASL) folders, and ROS 2 bags.
+"""Datasets in the formats of other tools: NetCDF, one flat table in Parquet, and a folder for Hugging Face.
 
-Only the samples before a flight's end are exported, except to NetCDF, which holds the whole dataset. Time
-counts from the start of each flight. What no log of a recorded dataset holds is NaN.
+NetCDF holds the whole dataset. The table has only the samples before a flight's end. Time counts from the
+start of each flight. What no log of a recorded dataset holds is NaN.
 """
 
 import json
-import sqlite3
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
-from ..config.toml import nearest, parse
-from ..imu.spec import ImuSpec
-from ..rotation import matrix_from_quat, quat_from_euler
+from ..config.toml import nearest
 from .reading import open_dataset
 from .store import VARIABLES, Progress
 
-Array = NDArray[np.float64]
-
-IMU_HEADER = "#timestamp [ns]," + ",".join(
-    f"{kind}_RS_S_{axis} [{unit}]" for kind, unit in (("w", "rad s^-1"), ("a", "m s^-2")) for axis in "xyz"
-)
-TRUTH_HEADER = "#timestamp," + ",".join(
-    f" {kind}_{label} [{unit}]"
-    for kind, labels, unit in (
-        ("p_RS_R", "xyz", "m"),
-        ("q_RS", "wxyz", ""),
-        ("v_RS_R", "xyz", "m s^-1"),
-        ("b_w_RS_S", "xyz", "rad s^-1"),
-        ("b_a_RS_S", "xyz", "m s^-2"),
-    )
-    for label in labels
-)
 CARD = """---
 pretty_name: Flights simulated by quadsim
 task_categories: [time-series-forecasting]
@@ -64,7 +43,6 @@ The recipe of the flights, as JSON:
 ```
 """
 """Card of a Hugging Face dataset."""
-TRUTH = ("position", "quat", "velocity", "gyro_bias", "accel_bias")
 
 
 def export(
@@ -74,9 +52,8 @@ def export(
 
     Args:
         path: A dataset.
-        out: The file (netcdf, parquet) or folder (csv, rosbag2) to write; must not exist.
-        format: One of FORMATS: "netcdf", "parquet", "huggingface" (a folder of Parquet with its card), "csv"
-            (EuRoC layout) or "rosbag2".
+        out: The file or folder to write; must not exist.
+        format: One of FORMATS: "netcdf", "parquet" or "huggingface" (a folder of Parquet with its card).
         progress: Called with the flights written and their total.
 
     Returns:
@@ -99,15 +76,9 @@ def export(
             draft = Path(drafts) / out.name
             FORMATS[format](dataset, draft, progress)
             draft.rename(out)
-    except (OSError, sqlite3.Error) as error:
-        reason = error.strerror if isinstance(error, OSError) else None
-        raise OSError(f"cannot write {out}: {reason or error}") from error
+    except OSError as error:
+        raise OSError(f"cannot write {out}: {error.strerror or error}") from error
     return out
-
-
-def timestamps(steps: int, rate_hz: float) -> NDArray[np.int64]:
-    """Time of each sample since the start of its flight, (steps,) [ns]."""
-    return np.rint(np.arange(steps) * (1e9 / rate_hz)).astype(np.int64)
 
 
 def _netcdf(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
@@ -155,84 +126,6 @@ def _huggingface(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
     )
 
 
-def _euroc(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
-    """A folder per flight, laid out as the EuRoC MAV dataset is; the body frame is at the centre of mass."""
-    rate_hz = dataset.attrs["rate_hz"]
-    truth = _yaml("visual-inertial", "the simulated state itself", np.eye(4))
-    sensors = {
-        "imu0": (_imu_yaml(_imu_of(dataset), rate_hz), IMU_HEADER, ("gyro", "accel")),
-        "state_groundtruth_estimate0": (truth, TRUTH_HEADER, TRUTH),
-    }
-    for flight, one in _flights(dataset, progress):
-        time = timestamps(one.sizes["time"], rate_hz)  # float64 holds nanoseconds exactly for 104 days
-        mav = out / f"flight_{flight:03d}" / "mav0"
-        for name, (yaml, header, variables) in sensors.items():
-            (mav / name).mkdir(parents=True)
-            (mav / name / "sensor.yaml").write_text(yaml, encoding="utf-8")
-            table = np.column_stack([time, *(one[variable] for variable in variables)])
-            formats = ["%d", *["%.9g"] * (table.shape[1] - 1)]
-            np.savetxt(mav / name / "data.csv", table, formats, delimiter=",", header=header, comments="")
-        (mav / "body.yaml").write_text("%YAML:1.0\ncomment: simulated quadrotor\n", encoding="utf-8")
-
-
-def _yaml(sensor_type: str, comment: str, sensor_to_body: Array) -> str:
-    numbers = ", ".join(f"{value:.9g}" for value in sensor_to_body.ravel())
-    return (
-        f"%YAML:1.0\nsensor_type: {sensor_type}\ncomment: {comment}\n"
-        f"T_BS:\n  cols: 4\n  rows: 4\n  data: [{numbers}]\n"
-    )
-
-
-def _imu_yaml(imu: ImuSpec | None, rate_hz: float) -> str:
-    sensor_to_body = np.eye(4)
-    if imu is None:
-        return _yaml("imu", "IMU of unknown noise", sensor_to_body) + f"rate_hz: {rate_hz:g}\n"
-    sensor_to_body[:3, :3] = matrix_from_quat(quat_from_euler(*np.radians(imu.mounting_deg)))
-    sensor_to_body[:3, 3] = imu.lever_arm
-    return _yaml("imu", "simulated IMU", sensor_to_body) + (
-        f"rate_hz: {rate_hz:g}\n"
-        f"gyroscope_noise_density: {imu.gyro.noise:.9g}  # [ rad / s / sqrt(Hz) ]\n"
-        f"gyroscope_random_walk: {imu.gyro.random_walk:.9g}  # [ rad / s^2 / sqrt(Hz) ]\n"
-        f"accelerometer_noise_density: {imu.accel.noise:.9g}  # [ m / s^2 / sqrt(Hz) ]\n"
-        f"accelerometer_random_walk: {imu.accel.random_walk:.9g}  # [ m / s^3 / sqrt(Hz) ]\n"
-    )
-
-
-def _rosbag2(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
-    """A bag per flight: `/imu` (sensor_msgs/Imu, in the frame `imu`) and `/pose`, the truth in `world`."""
-    from rosbags.rosbag2 import Writer
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    message = store.types
-    vector, point = message["geometry_msgs/msg/Vector3"], message["geometry_msgs/msg/Point"]
-    quaternion, pose = message["geometry_msgs/msg/Quaternion"], message["geometry_msgs/msg/Pose"]
-    rate_hz, imu = dataset.attrs["rate_hz"], _imu_of(dataset)
-    level, absent = quaternion(0.0, 0.0, 0.0, 1.0), np.array([-1.0, *[0.0] * 8])  # holds no orientation
-    gyro_noise, accel_noise = (  # zeros where it is unknown, by convention
-        np.diag([sensor.noise**2 * rate_hz] * 3).ravel() if sensor else np.zeros(9)
-        for sensor in (imu and imu.gyro, imu and imu.accel)
-    )
-
-    def add(bag: Any, connection: Any, time: int, frame: str, *fields: Any) -> None:
-        stamp = message["builtin_interfaces/msg/Time"](*divmod(time, 1_000_000_000))
-        made = message[connection.msgtype](message["std_msgs/msg/Header"](stamp, frame), *fields)
-        bag.write(connection, time, store.serialize_cdr(made, connection.msgtype))
-
-    for flight, one in _flights(dataset, progress):
-        gyro, accel, position, quat = (
-            one[name].to_numpy().astype(float).tolist() for name in ("gyro", "accel", "position", "quat")
-        )
-        with Writer(out / f"flight_{flight:03d}", version=9) as bag:
-            imus = bag.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=store)
-            poses = bag.add_connection("/pose", "geometry_msgs/msg/PoseStamped", typestore=store)
-            for k, time in enumerate(timestamps(one.sizes["time"], rate_hz).tolist()):
-                w, x, y, z = quat[k]
-                read = (vector(*gyro[k]), gyro_noise, vector(*accel[k]), accel_noise)
-                add(bag, imus, time, "imu", level, absent, *read)
-                add(bag, poses, time, "world", pose(point(*position[k]), quaternion(x, y, z, w)))
-
-
 def _flights(dataset: xr.Dataset, progress: Progress) -> Iterator[tuple[int, xr.Dataset]]:
     """Each flight's samples before its end, loaded; reports progress when the caller asks for the next."""
     unknown = json.loads(dataset.attrs["config"]).get("unknown", ())
@@ -244,18 +137,8 @@ def _flights(dataset: xr.Dataset, progress: Progress) -> Iterator[tuple[int, xr.
         progress(flight + 1, total)
 
 
-def _imu_of(dataset: xr.Dataset) -> ImuSpec | None:
-    """The IMU that was simulated; None where the dataset does not say, or it was recorded."""
-    config = json.loads(dataset.attrs["config"])
-    if "imu" not in config or "logs" in config:
-        return None
-    return parse(config["imu"], ImuSpec, "the IMU of this dataset")
-
-
 FORMATS: dict[str, Callable[[xr.Dataset, Path, Progress], None]] = {
     "netcdf": _netcdf,
-    "csv": _euroc,
     "parquet": _parquet,
     "huggingface": _huggingface,
-    "rosbag2": _rosbag2,
 }

@@ -296,7 +296,6 @@ def topics_of(stream):
 @pytest.mark.parametrize(
     ("module", "package", "extra", "command"),
     [
-        ("rosbags.rosbag2", "rosbags", "logs", "export flights.zarr --format rosbag2 --out x"),
         ("nir", "nir", "export", "export att-snn-paper --format nir --out x"),
         ("pyulog", "pyulog", "logs", "report x.ulg"),
         ("mcap.reader", "mcap", "logs", "report x.mcap"),

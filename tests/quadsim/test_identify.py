@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from quadsim.cli.identification import identify as identify_verb
-from quadsim.dataset.export import export
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
 from quadsim.flight.recipe import load_recipe
@@ -97,14 +96,14 @@ def test_without_attitude_the_drag_is_not_fitted_and_without_speeds_nothing(flig
 def test_the_command_writes_a_vehicle_and_a_picture_and_leaves_out_logs_without_rotor_speeds(
     data, tmp_path, quadsim, refused
 ):
-    export(data[0], "log", "csv")
+    np.savez("log.npz", t=np.arange(1000) / 200, gyro=np.zeros((1000, 3)), acc=np.ones((1000, 3)))
     none = "no 5 s without a missing sample and with rotor speeds in rad/s"
-    command = ["identify", "--rate", "200", "log/flight_000"]
+    command = ["identify", "--rate", "200", "log.npz"]
     assert refused(*command) == f"quadsim: {none}"
     assert not (tmp_path / "mine.toml").exists()
     code, *said = quadsim(*command, *data)
     assert code == 0
-    assert f"log/flight_000: {none}, left out" in "".join(said)
+    assert f"log.npz: {none}, left out" in "".join(said)
     assert "motor.k_f" in said[0]
     assert load_vehicle("mine.toml").motor.k_f == pytest.approx(TRUE.motor.k_f, rel=0.05)
     assert (tmp_path / "mine.png").is_file()

@@ -5,44 +5,39 @@ import pytest
 from sensor import consistent, reported, turned, turning, write_csv
 from ulog_file import write_ulog
 
-from quadsim.dataset.export import export
-from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
-from quadsim.flight.recipe import Recipe
-from quadsim.imu.spec import load_imu
 from quadsim.logs import read_log, read_recording
 from quadsim.logs.convert import convert
 from quadsim.logs.recording import Recording, mount_matrix
 from quadsim.logs.resample import resample
 from quadsim.rotation import quat_from_euler, roll_pitch_from_quat, swap_enu_flu_ned_frd, swap_flu_frd
-from quadsim.vehicle import load_vehicle
 
 
-@pytest.fixture(scope="module")
-def flight(tmp_path_factory):
-    config = Recipe(vehicle=load_vehicle("hummingbird"), imu=load_imu("perfect"), warmup_s=0.0)
-    return generate(config, 1, 3.0, tmp_path_factory.mktemp("logs") / "x.zarr", seed=5, workers=1)
+def write_euroc(folder, sensor: str = "", truth: str = "state_groundtruth_estimate0") -> None:
+    """An EuRoC sequence of the turning sensor; sensor: T_BS of its IMU as YAML."""
+    time, gyro, accel, quat = turning()
+    stamps = np.rint(time * 1e9)
+    for name, values in (("imu0", (gyro, accel)), (truth, (0.0 * gyro, quat))):
+        place = folder / "mav0" / name
+        place.mkdir(parents=True)
+        np.savetxt(place / "data.csv", np.column_stack([stamps, *values]), "%.15g", ",", header="t")
+    (folder / "mav0" / "imu0" / "sensor.yaml").write_text(sensor)
 
 
-@pytest.mark.parametrize("format", ["csv", "rosbag2"])
-def test_an_exported_flight_is_read_back(flight, tmp_path, format):
-    if format == "rosbag2":
-        pytest.importorskip("rosbags")
-    log, report = reported(export(flight, tmp_path / "out", format) / "flight_000")
-    found, wanted = log.isel(flight=0), open_dataset(flight).isel(flight=0)
-    assert (found.sizes["time"], report.counts["gaps"], report.counts["truth_share"]) == (600, 0, 1.0)
-    for name in ("gyro", "accel", "position"):
-        np.testing.assert_allclose(found[name], wanted[name], atol=1e-5)
-    same = np.abs(np.sum(found["quat"].to_numpy() * wanted["quat"].to_numpy(), axis=-1))
-    np.testing.assert_allclose(same, 1.0, atol=1e-9)
+@pytest.mark.parametrize("truth", ["state_groundtruth_estimate0", "mocap0", "vicon0"])
+def test_an_euroc_folder_is_read(tmp_path, truth):
+    write_euroc(tmp_path / "V1", truth=truth)
+    log, report = reported(tmp_path / "V1")
+    consistent(log)
+    assert (log.sizes["time"], report.counts["gaps"], report.counts["truth_share"]) == (800, 0, 1.0)
+    assert report.log.truth.startswith(f"{truth}: ")
 
 
-def test_the_mounting_in_an_exported_folder_is_undone(tmp_path):
-    imu = load_imu("perfect").model_copy(update={"mounting_deg": (0.0, 0.0, 90.0)})
-    config = Recipe(vehicle=load_vehicle("hummingbird"), imu=imu, warmup_s=0.0)
-    data = generate(config, 1, 1.0, tmp_path / "x.zarr", seed=5, workers=1)
-    log = read_log(export(data, tmp_path / "out", "csv"))
-    np.testing.assert_allclose(log["gyro"][0], open_dataset(data)["ang_vel"][0], atol=1e-5)
+def test_the_mounting_in_an_euroc_folder_is_undone(tmp_path):
+    write_euroc(tmp_path / "V1", "T_BS:\n  data: [0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]\n")
+    gyro = turning()[1]
+    log = read_log(tmp_path / "V1")
+    np.testing.assert_allclose(log["gyro"][0], gyro @ [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], atol=1e-5)
 
 
 def write_bag(path, ros: int) -> None:

@@ -1,4 +1,4 @@
-"""EuRoC (ASL) folders of CSV: the EuRoC MAV and TUM-VI datasets, and `quadsim export --format csv`."""
+"""EuRoC (ASL) folders of CSV: the EuRoC MAV and TUM-VI datasets."""
 
 import re
 from pathlib import Path
