@@ -100,10 +100,7 @@ HEAVY = load_vehicle("hummingbird").model_dump(mode="json")
             HOVER | {"wind": [{"kind": "constant", "velocity": [1e9, 0.0, 0.0]}]},
             "the nearest is 100",
         ),
-        (Scenario, HOVER | {"duration_s": 1e12}, "duration_s = 1000000000000.0: should be"),
-        (Vehicle, HEAVY | {"inertia": [1e-12, 1e-12, 1e-12]}, "inertia"),
         (Vehicle, HEAVY | {"inertia": [5e-7, 5e-7, 5e-7]}, "m from the axes"),
-        (ImuSpec, {"gyro": {"noise": 1e9}}, "gyro.noise = 1000000000.0: should be 0 to 1000"),
         (ImuSpec, {"lever_arm": [1e9, 0.0, 0.0]}, "should be -5 to 5 m; the nearest is 5"),
         (Mix, {"min_tilt_deg": 50.0, "max_tilt_deg": 40.0}, "min_tilt_deg = 50 is above max_tilt_deg = 40"),
         (
@@ -111,8 +108,6 @@ HEAVY = load_vehicle("hummingbird").model_dump(mode="json")
             {"circle_share": 1.0, "eight_share": 1.0, "pause_share": 1.0, "jump_share": 1.0},
             "= 4; shares",
         ),
-        (Mix, {"max_tilt_deg": 80.0}, "max_tilt_deg = 80.0: should be 0.1 to 55 °; the nearest is 55"),
-        (Mix, {"dash_s": [1e-300, 1.0]}, "should be 0.05 to 3600 s; the nearest is 0.05"),
     ],
 )
 def test_what_no_flight_can_have_is_refused_with_its_range(model, data, said):

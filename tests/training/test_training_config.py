@@ -91,5 +91,6 @@ def test_every_field_is_documented():
 
 
 def test_dotted_settings_of_the_command_line_add_up():
-    found = fields_of(["inputs.gyro=0.5", "inputs.accel_offset=[0,0,1]", "epochs=3"])
-    assert found == {"inputs": {"gyro": 0.5, "accel_offset": [0, 0, 1]}, "epochs": 3}
+    found = fields_of(["inputs.gyro=0.5", "inputs.accel_offset=[0,0,1]", "epochs=3", "a=true", "b=wide"])
+    inputs = {"gyro": 0.5, "accel_offset": [0, 0, 1]}
+    assert found == {"inputs": inputs, "epochs": 3, "a": True, "b": "wide"}
