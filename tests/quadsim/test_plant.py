@@ -193,6 +193,7 @@ def test_no_command_or_wind_makes_a_state_that_is_not_finite(command, wind):
         (lambda: Plant(HUMMINGBIRD, 0), "at least one vehicle"),
         (lambda: Plant(HUMMINGBIRD, 1, rate_hz=float("nan")), "rate_hz"),
         (lambda: Plant(HUMMINGBIRD, 1, integrator="RK5"), "RK4"),
+        (lambda: Plant(HUMMINGBIRD, engine="bullet"), "unknown engine 'bullet'; choose one of auto, mujoco"),
         (lambda: Plant(HUMMINGBIRD, 1).step([1, 2, 3]), "shape"),
         (lambda: Plant(HUMMINGBIRD, 1).step([1, 2, 3, np.nan]), "finite"),
         (lambda: Plant(HUMMINGBIRD, 1).reset(quat=(0, 0, 0, 0)), "length zero"),

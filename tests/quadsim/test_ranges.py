@@ -64,14 +64,6 @@ def test_every_number_of_every_model_has_both_ends():
     assert open_ended == []
 
 
-def test_the_search_for_open_ends_finds_them():
-    assert unbounded(float)
-    assert unbounded(tuple[float, ...] | None)
-    assert unbounded(Annotated[int, annotated_types.Ge(0)])
-    assert not unbounded(Annotated[int, annotated_types.Ge(0), annotated_types.Lt(9)] | str)
-    assert not unbounded(tuple[Annotated[float, Between(0, 1)], ...])
-
-
 @given(st.floats(allow_nan=False, allow_infinity=True))
 def test_a_value_is_taken_or_the_nearest_one_is_named(value):
     kind = Between(-2.0, 5.0, "m")

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from level import Level
 from missions import HOVER, flown, with_faults
 
 import estimators
@@ -95,22 +96,11 @@ def test_starts_tilted_by_the_given_angle_about_an_axis_of_its_own():
 
 def test_an_attitude_is_given_wrongly_by_the_angle_that_is_asked_for():
     start = Start(known_attitude=True, attitude_error_deg=4.0, tilt_deg=30.0)
-    given = {}
-
-    class Listener:
-        rate_hz = 200.0
-
-        def reset(self, n, roll_pitch=None):
-            given["roll_pitch"] = roll_pitch
-
-        def update(self, gyro, accel):
-            return np.zeros((len(gyro), 2))
-
-    mission = Mission(HOVER.model_copy(update={"start": start}), Listener(), 50)
+    mission = Mission(HOVER.model_copy(update={"start": start}), Level(), 50)
     mission.begin(vehicle_seeds(0, 50))
-    truth = mission.plant.roll_pitch
-    np.testing.assert_allclose(inclination_error(given["roll_pitch"], truth), 4.0, atol=1e-6)
-    off = given["roll_pitch"] - truth
+    given, truth = mission.estimator.start, mission.plant.roll_pitch
+    np.testing.assert_allclose(inclination_error(given, truth), 4.0, atol=1e-6)
+    off = given - truth
     assert np.abs(off.mean(axis=0)).max() < np.radians(2.0)  # about an axis of each flight's own
 
 
