@@ -126,3 +126,12 @@ def test_angles_stay_within_half_a_turn(name):
     rolling = np.tile([3.0, 0.0, 0.0], (1, 2000, 1))
     out = run(make(name), rolling, np.zeros_like(rolling))
     assert np.abs(out).max() <= np.pi
+
+
+@pytest.mark.parametrize("name", ["ekf", "ekf-drag", "mahony"])
+def test_readings_that_no_sensor_gives_count_as_missing(flights, name):
+    gyro, accel, _ = (each.copy() for each in arrays(flights, 1, 200))
+    missing = gyro.copy(), accel.copy()
+    gyro[0, 50:52, 1], accel[0, 90, 2] = 1e30, -1000.0
+    missing[0][0, 50:52], missing[1][0, 90] = np.nan, np.nan
+    np.testing.assert_array_equal(run(make(name), gyro, accel), run(make(name), *missing))
