@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from level import Level
 from sensor import noisy, readings
 
 from estimators import create
@@ -135,29 +136,14 @@ def test_estimators_that_need_a_vehicle_are_left_out_without_one():
     assert "ekf-drag" in default_names(vehicle_known=True)
 
 
-def test_the_models_that_imm_believes_along_a_log_are_recorded(log):
-    scores = score_logs([log], ["imm", "mahony"])
-    ((name, believed),) = scores.logs["mine"].beliefs.items()
-    assert name == "imm"
-    assert sum(believed.share().values()) == pytest.approx(1.0)
-    estimate = scores.logs["mine"].estimates["imm"][believed.samples]
-    np.testing.assert_array_equal(believed.roll_pitch[0], estimate)
-    nowhere = np.full((1, len(log["time"]), 2), np.nan)
-    assert np.isnan(believed.interval(nowhere).inside)
-
-
-class Given:
+class Given(Level):
     """An estimator that returns what it is made with, or raises it, or is fed the truth."""
 
-    rate_hz = 200.0
-
     def __init__(self, value):
+        super().__init__()
         self.value = value
         if value is None:
             self.observe = self._observe
-
-    def reset(self, n=1, roll_pitch=None):
-        pass
 
     def _observe(self, quat):
         self.truth = roll_pitch_from_quat(quat)

@@ -1,13 +1,11 @@
 """Exported networks against the ones that fly, run by a C compiler, Norse, snnTorch and ONNX Runtime."""
 
-import importlib
-
 import numpy as np
 import pytest
 import torch
 from c_export import SAMPLES, built, hard_readings
 from controllers import CONFIG, random_snn, samples
-from plain_network import forward
+from plain_network import Plain
 
 from estimators.control.controller import SpikingController
 from estimators.export.formats import export_weights
@@ -115,16 +113,6 @@ def norse_network(graph):
     return norse.from_nir(graph, dt=float(graph.metadata["dt"])), lambda state: state.cache["06_hidden"]
 
 
-def norse_in_doubles(graph):
-    """Norse's equations in float64."""
-    pytest.importorskip("norse.torch", reason="Norse is not installed")
-    reader = importlib.import_module("norse.torch.utils.import_nir")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(reader, "_to_tensor", lambda x: torch.as_tensor(x, dtype=torch.float64))
-        network, spikes_of = norse_network(graph)
-    return network.double(), spikes_of
-
-
 def snntorch_network(graph):
     """SnnTorch as it comes; its spikes are float32."""
     reader = pytest.importorskip("snntorch.import_nir", reason="snnTorch is not installed")
@@ -135,17 +123,12 @@ def snntorch_network(graph):
 @pytest.mark.parametrize(
     ("tool", "name"),
     [
-        *((norse_in_doubles, name) for name in ("att-snn-paper", "random")),
+        *((norse_network, name) for name in ("att-snn-paper", "random")),
         *((snntorch_network, name) for name in ("att-snn-paper", "control-attitude")),
-        (norse_network, "att-snn-paper"),
     ],
 )
 def test_a_nir_file_spikes_in_other_tools_as_the_network_in_floats(tmp_path, hummingbird, tool, name):
-    """Chains deliver within a step there: hidden spikes come a step early, outputs two.
-
-    In float32 Norse's gains leave a rounding error that decides where a potential is 1e-7 from the threshold,
-    which this flight has once in `att-snn-paper`. Outputs agree to 1e-6 of the largest.
-    """
+    """Chains deliver within a step there: hidden spikes come a step early, outputs two."""
     nir = pytest.importorskip("nir")
     random = NetworkConfig(model="att-snn", encoding=40, hidden=30)
     weights = saved(tmp_path, random)[1] if name == "random" else name
@@ -154,10 +137,12 @@ def test_a_nir_file_spikes_in_other_tools_as_the_network_in_floats(tmp_path, hum
     flown = hummingbird.map(lambda each: each[:1, :400])
     x = torch.tensor(scaled_inputs(config.inputs, flown.gyro, flown.accel))
     x = torch.cat([x, torch.zeros(*x.shape[:2], config.n_inputs - x.shape[2])], 2)
-    outputs, _, hidden = forward(x, Weights(*map(torch.tensor, real_weights(config, tensors))))
+    plain = Plain(quantised=False)
+    outputs, _ = plain.forward(x, Weights(*map(torch.tensor, real_weights(config, tensors))))
+    _, hidden = plain.spikes()
     state, found, spikes = None, [], []
     with torch.no_grad():
-        for sample in (x if tool is norse_in_doubles else x.float()).unbind(1):
+        for sample in x.float().unbind(1):
             out, state = network(sample, state)
             found.append(out)
             spikes.append(spikes_of(state))
@@ -243,7 +228,3 @@ def test_the_c_header_names_what_comes_in_and_the_scale_of_what_goes_out(tmp_pat
     header = export_weights(saved(tmp_path, config)[1], tmp_path / "rp", "c99") / "att_snn.h"
     assert f"#define ATT_SNN_UNITS_PER_RADIAN {256 * 2**14}\n" in header.read_text()
     assert "#define ATT_SNN_OUTPUTS 2\n" in header.read_text()
-    header = export_weights(saved(tmp_path, CONFIG)[1], tmp_path / "a", "c99") / "snn_control.h"
-    header = header.read_text()
-    assert "a gyroscope and an estimate of roll and pitch" in header
-    assert "This network reads an attitude" in header

@@ -117,15 +117,6 @@ def test_a_payload_comes_on_top_of_each_vehicles_own_mass():
         assert (mission.plant.vehicles["mass"] != own).all()
 
 
-def test_a_hexarotor_hovers_on_commanded_rotor_speeds():
-    calm = changed(load_scenario("hover"), {"vehicle": "hexarotor", "external": "ideal"})
-    env = gymnasium.make(ID, scenario=calm, level="rotor")
-    env.reset(seed=0)
-    for _ in range(100):
-        seen, *_ = env.step(np.zeros(6))
-    assert np.abs(seen[:6]).max() < 1e-3
-
-
 def test_reset_randomises_until_the_next_reset():
     env = gymnasium.make_vec(ID, 3, scenario=WINDY)
     env.reset(seed=1, options={"randomisation": {"mass": 0.3}})

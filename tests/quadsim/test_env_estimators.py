@@ -4,22 +4,17 @@ import gymnasium
 import numpy as np
 import pytest
 from environments import ID, make
+from level import Level
 
 import estimators
 
 
-class Still:
-    """An estimator of a user's: level."""
-
-    def __init__(self, rate_hz):
-        self.rate_hz, self.n, self.updates = rate_hz, 0, 0
-
-    def reset(self, n=1, roll_pitch=None):
-        self.n = n
+class Still(Level):
+    updates = 0
 
     def update(self, gyro, accel):
         self.updates += 1
-        return np.zeros((self.n, 2))
+        return super().update(gyro, accel)
 
 
 @pytest.mark.parametrize(

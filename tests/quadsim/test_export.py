@@ -118,8 +118,3 @@ def test_a_picture_has_ink_in_every_part(source, tmp_path):
     assert picture.shape[1] > 1000
     parts = [part for row in np.array_split(picture, 5) for part in np.array_split(row, 4, axis=1)]
     assert all(np.ptp(part) > 100 for part in parts)
-
-
-def test_an_unknown_picture_format_is_refused(source, tmp_path):
-    with pytest.raises(ValueError, match="Format 'docx' is not supported"):
-        plot(source, tmp_path / "x.docx")

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from level import Level
 
 from quadsim.config.toml import preset_names
 from quadsim.control.cascade import IDLE, Controller, actuate, control
@@ -15,9 +16,9 @@ from quadsim.flight.simulate import simulate_flights
 from quadsim.imu.spec import load_imu
 from quadsim.rotation import quat_conjugate, quat_from_euler, quat_multiply, roll_pitch_from_quat
 from quadsim.seeding import vehicle_seeds
-from quadsim.trajectory.specs import Hover, Mix
+from quadsim.trajectory.specs import Hover
 from quadsim.vehicle import GRAVITY, Randomisation, load_vehicle
-from quadsim.wind import Constant, Dryden
+from quadsim.wind import Constant
 
 HUMMINGBIRD = load_vehicle("hummingbird")
 HOVER = np.array([[0, 0, 2.0, 0, 0, 0, 0, 0, 0, 0, 0]])
@@ -125,15 +126,6 @@ def test_rotors_that_saturate_give_up_yaw_first_and_then_thrust(name, sign):
         assert abs(wrench[0] - vehicle.mass * thrust) > 0.1 * vehicle.mass * GRAVITY
 
 
-def test_recorded_flights_reach_45_degrees_with_the_papers_spread():
-    flown = simulate_flights(config(), vehicle_seeds(0, 6), 6000)
-    roll_pitch = roll_pitch_from_quat(flown["quat"])
-    assert 0.2 < roll_pitch.std() < 0.3
-    tilt = np.arccos(np.cos(roll_pitch[..., 0]) * np.cos(roll_pitch[..., 1]))
-    assert np.degrees(tilt.max()) > 45
-    assert all(reason == "" for reason in flown["end_reason"])
-
-
 def test_the_gyro_sample_is_aligned_with_the_state():
     """The mean of gyro samples k and k + 1 turns quat k into quat k + 1, and no other pair does."""
     flown = simulate_flights(Recipe(vehicle=HUMMINGBIRD, imu=load_imu("perfect")), vehicle_seeds(0, 2), 2000)
@@ -164,17 +156,6 @@ def test_adding_wind_does_not_change_the_imu_noise():
     assert np.array_equal(calm["gyro_bias"], windy["gyro_bias"])
     noise = [flown["gyro"] - flown["ang_vel"] for flown in (calm, windy)]
     assert noise[0] == pytest.approx(noise[1], abs=1e-12)
-
-
-@settings(max_examples=10, deadline=None)
-@given(st.integers(0, 2**31), st.floats(0, 40), st.floats(1, 55))
-def test_no_seed_wind_or_set_point_records_a_number_that_is_not_finite(seed, gale, tilt):
-    storm = Dryden(airspeed=max(gale, 1.0), altitude=20.0, wind_20ft=gale)
-    rough = config(trajectory=Mix(max_tilt_deg=tilt), wind=(Constant(velocity=(gale, 0.0, 0.0)), storm))
-    flown = simulate_flights(rough, vehicle_seeds(seed, 2), 600)
-    for name, values in flown.items():
-        if name != "end_reason":
-            assert np.all(np.isfinite(values)), name
 
 
 def test_a_vehicle_that_cannot_fly_ends_with_a_reason_and_finite_numbers():
@@ -209,17 +190,12 @@ def test_flights_flown_on_a_wrong_attitude_swing_and_are_otherwise_recorded_trul
     assert bias[0] == pytest.approx(bias[1], abs=1e-9)  # the sensor errors are the same
 
 
-class Listening:
+class Listening(Level):
     """An estimator that keeps the rotor speeds it is given."""
-
-    rate_hz = 200.0
-
-    def reset(self, n=1, roll_pitch=None):
-        self.n = n
 
     def update(self, gyro, accel, *, rotor_vel=None):
         self.rotor_vel = rotor_vel
-        return np.zeros((self.n, 2))
+        return super().update(gyro, accel)
 
 
 def test_the_estimator_is_given_the_rotor_speeds_of_the_sample():

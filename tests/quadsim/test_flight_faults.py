@@ -148,17 +148,6 @@ def test_controller_holds_its_rate_while_samples_are_missing():
     assert np.isfinite(mission.plant.position).all()
 
 
-def test_payload_is_carried_and_then_dropped():
-    mission = Mission(with_faults({"kind": "payload-drop", "mass": 0.2, "at_s": 0.5}))
-    mission.begin(vehicle_seeds(0, 1))
-    masses = []
-    for _ in range(mission.steps):
-        mission.step()
-        masses.append(mission.plant.vehicles["mass"][0])
-    np.testing.assert_allclose(masses[:100], 0.916)
-    np.testing.assert_allclose(masses[100:], 0.716)
-
-
 def test_a_rotor_that_the_vehicle_lacks_cannot_be_lost():
     with pytest.raises(ValueError, match="rotor = 4: this vehicle has rotors 0 to 3"):
         flown(

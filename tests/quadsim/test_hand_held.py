@@ -67,13 +67,6 @@ def test_spectrum_of_the_acceleration_is_of_white_noise_behind_three_lags(long_m
     assert power[hz < 0.1].sum() < 1e-5 * power.sum()
 
 
-def test_hand_stays_within_reach(long_move):
-    slowest, fastest = (1.0 / (2.0 * np.pi * pace) ** 2 for pace in PACE_HZ)  # 1 m/s² over λ²
-    root_mean_square = long_move["position"].std(axis=1)
-    assert np.all((0.7 * fastest < root_mean_square) & (root_mean_square < 1.5 * slowest))
-    assert np.abs(long_move["position"]).max() < 10.0 * slowest
-
-
 def test_a_motion_of_a_minute_peaks_at_four_times_its_root_mean_square(long_move):
     size = np.linalg.norm(world_acceleration(long_move), axis=-1)[:, :48_000].reshape(-1, 6_000)
     crest = size.max(axis=1) / np.sqrt(np.mean(size**2, axis=1))

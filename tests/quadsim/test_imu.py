@@ -5,7 +5,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from imu_errors import ADIS, EVERYTHING, RATE, at_rest, flight, only, without
 
-from quadsim.config.toml import preset_names
 from quadsim.imu.spec import ImuSpec, Sensor, load_imu
 from quadsim.imu.stream import BLOCK, ImuStream, motion_of, simulate_imu, simulate_readings
 
@@ -204,12 +203,6 @@ def test_bad_imu_file_is_one_clear_line(tmp_path, text, message):
     path.write_text(text)
     with pytest.raises(ValueError, match=rf"^.*imu\.toml.*{message}[^\n]*$"):
         load_imu(path)
-
-
-@pytest.mark.parametrize("name", preset_names("imus"))
-def test_preset_survives_json(name):
-    spec = load_imu(name)
-    assert ImuSpec.model_validate_json(spec.model_dump_json()) == spec
 
 
 def test_adis16448_has_the_numbers_of_rotors():

@@ -64,14 +64,6 @@ def test_every_number_of_every_model_has_both_ends():
     assert open_ended == []
 
 
-def test_the_search_for_open_ends_finds_them():
-    assert unbounded(float)
-    assert unbounded(tuple[float, ...] | None)
-    assert unbounded(Annotated[int, annotated_types.Ge(0)])
-    assert not unbounded(Annotated[int, annotated_types.Ge(0), annotated_types.Lt(9)] | str)
-    assert not unbounded(tuple[Annotated[float, Between(0, 1)], ...])
-
-
 @given(st.floats(allow_nan=False, allow_infinity=True))
 def test_a_value_is_taken_or_the_nearest_one_is_named(value):
     kind = Between(-2.0, 5.0, "m")
@@ -100,10 +92,7 @@ HEAVY = load_vehicle("hummingbird").model_dump(mode="json")
             HOVER | {"wind": [{"kind": "constant", "velocity": [1e9, 0.0, 0.0]}]},
             "the nearest is 100",
         ),
-        (Scenario, HOVER | {"duration_s": 1e12}, "duration_s = 1000000000000.0: should be"),
-        (Vehicle, HEAVY | {"inertia": [1e-12, 1e-12, 1e-12]}, "inertia"),
         (Vehicle, HEAVY | {"inertia": [5e-7, 5e-7, 5e-7]}, "m from the axes"),
-        (ImuSpec, {"gyro": {"noise": 1e9}}, "gyro.noise = 1000000000.0: should be 0 to 1000"),
         (ImuSpec, {"lever_arm": [1e9, 0.0, 0.0]}, "should be -5 to 5 m; the nearest is 5"),
         (Mix, {"min_tilt_deg": 50.0, "max_tilt_deg": 40.0}, "min_tilt_deg = 50 is above max_tilt_deg = 40"),
         (
@@ -111,8 +100,6 @@ HEAVY = load_vehicle("hummingbird").model_dump(mode="json")
             {"circle_share": 1.0, "eight_share": 1.0, "pause_share": 1.0, "jump_share": 1.0},
             "= 4; shares",
         ),
-        (Mix, {"max_tilt_deg": 80.0}, "max_tilt_deg = 80.0: should be 0.1 to 55 °; the nearest is 55"),
-        (Mix, {"dash_s": [1e-300, 1.0]}, "should be 0.05 to 3600 s; the nearest is 0.05"),
     ],
 )
 def test_what_no_flight_can_have_is_refused_with_its_range(model, data, said):

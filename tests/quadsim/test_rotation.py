@@ -87,12 +87,6 @@ def test_euler_angles_near_vertical_are_the_same_rotation(pitch, off, roll, yaw)
     assert euler[1] == pytest.approx(pitch, abs=2e-5)
 
 
-def test_each_euler_angle_turns_about_its_axis_the_right_way():
-    assert quat_rotate(quat_from_euler(0.1, 0, 0), [0, 1, 0])[2] > 0.0  # roll lifts the left side
-    assert quat_rotate(quat_from_euler(0, 0.1, 0), [1, 0, 0])[2] < 0.0  # pitch lowers the nose
-    assert quat_rotate(quat_from_euler(0, 0, 0.1), [1, 0, 0])[1] > 0.0  # yaw turns left
-
-
 @SHAPES
 def test_roll_and_pitch_survive_any_yaw(shape):
     angles = np.random.default_rng(5).uniform(-1.5, 1.5, size=(*shape, 2))

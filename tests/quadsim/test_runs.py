@@ -52,24 +52,6 @@ def test_rows_are_written_under_the_union_of_their_keys(tmp_path):
     assert path.read_text() == 'a,b,c\n0.1,"x,y",\n2,,\n'
 
 
-def test_what_one_process_writes_no_other_does(tmp_path):
-    code = (
-        "import sys\nfrom pathlib import Path\nfrom quadsim.runs.files import alone\n"
-        "with alone(Path(sys.argv[1])):\n    print('held', flush=True)\n    sys.stdin.read()"
-    )
-    held = subprocess.Popen(
-        [sys.executable, "-c", code, str(tmp_path / "x")], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    )
-    assert held.stdout is not None
-    held.stdout.readline()
-    with pytest.raises(ValueError, match="is being written by another process"), alone(tmp_path / "x"):
-        pass
-    held.kill()
-    held.wait()
-    with alone(tmp_path / "x"):
-        pass
-
-
 def test_a_process_that_holds_a_folder_may_hold_it_again_until_it_gives_it_up(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     lock = tmp_path / ".x.lock"

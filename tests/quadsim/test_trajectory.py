@@ -76,6 +76,13 @@ def test_minimum_snap_passes_the_waypoints_and_rests_at_both_ends():
         assert np.linalg.norm(path["position"] - point, axis=-1).min() < 0.05
 
 
+def test_random_waypoints_are_of_each_flight_and_in_their_box():
+    path = fly(Waypoints(random_points=10, box=(8.0, 8.0, 2.0), position=(0.0, 0.0, 10.0)), seconds=20, n=4)
+    reach = np.abs(path["position"] - [0.0, 0.0, 10.0]).max(axis=(0, 1))
+    assert np.all((reach > [5.0, 5.0, 1.0]) & (reach < [13.0, 13.0, 5.0]))
+    assert np.ptp(path["position"][:, -1], axis=0).max() > 3.0
+
+
 def test_step_goes_there_and_back():
     path = fly(Step(offset=(2.0, 0.0, 0.0), at_s=1.0, hold_s=3.0), seconds=8)[0]
     assert path["position"][int(0.9 * RATE), 0] == 0

@@ -141,6 +141,7 @@ def test_the_error_beside_an_interval_is_of_roll_and_pitch_where_they_count():
     believed = Beliefs(("one",), np.array([0, 1]), np.zeros((1, 2, 2)), sigma, np.ones((1, 2, 1)))
     truth = np.radians([[[3.0, 3.0], [90.0, 80.0]]])
     assert believed.interval(truth, np.array([[True, False]])) == pytest.approx((1.0, 4.0, 3.0))
+    assert np.isnan(believed.interval(truth * np.nan).inside)
 
 
 def test_page_needs_nothing_else_and_escapes_what_is_the_user_s(report):

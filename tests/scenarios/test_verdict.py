@@ -96,10 +96,6 @@ HEADLINES = {
         {"x": FIVE, "y": {name: [2.0, 2.1] for name in FIVE}},
         "In these 5 scenarios, fly x (no crash in 10 flights, error 1.05°).",
     ),
-    "few scenarios are named": (
-        {"x": {"a": [1.0, 1.1], "b": [1.0, 1.1]}, "y": {"a": [2.0, 2.1], "b": [2.0, 2.1]}},
-        "In a and b, fly x (no crash in 4 flights, error 1.05°).",
-    ),
     "who did not run is no rival": (
         {"x": {"a": [1.0, 1.1]}, "y": {"a": "no weights"}},
         "In a, fly x, the only one that ran (no crash in 2 flights, error 1.05°).",
@@ -112,7 +108,6 @@ HEADLINES = {
         {"x": {"a": [1.0, 1.1], "b": "no idea"}},
         "x: no crash in 2 flights, error 1.05°; 1 scenario did not run.",
     ),
-    "one alone that always crashes": ({"x": {"b": [crash(5.0)]}}, "x: crashed in 1 of 1 flight."),
     "nothing runs": ({"x": {"a": "no weights"}}, "No estimator ran: x did not run (no weights)."),
 }  # fmt: skip
 

@@ -68,13 +68,6 @@ def states(x: Tensor, weights: Weights, quantised: bool = False, recurrent_delay
     return every
 
 
-def forward(x: Tensor, weights: Weights) -> tuple[Tensor, Tensor, Tensor]:
-    """Outputs (n, T, outputs), spikes of the encoding (n, T, h0) and hidden layer (n, T, h1), in floats."""
-    every = states(x, weights)
-    v2, s0, s1 = (torch.stack([getattr(each, name) for each in every], 1) for name in ("v2", "s0", "s1"))
-    return v2, s0, s1
-
-
 class Plain:
     """The plain network from rest, with the methods of `training.fused.Fused`."""
 

@@ -70,22 +70,16 @@ def test_windows_that_do_not_fit_the_flights_are_refused(dataset):
         flights_of(make_config(data=dataset, window_s=5.0))
 
 
-@pytest.fixture(scope="module")
-def path(tmp_path_factory):
-    out = tmp_path_factory.mktemp("windows") / "data.zarr"
-    return generate(load_recipe("hummingbird"), 2, 2.1, out, seed=5, workers=1)
-
-
-def test_a_loader_gives_windows_of_readings_and_truth(path):
-    windows, flights = Windows(path, 100), open_dataset(path)
-    assert len(windows) == 2 * 4
-    ((readings, truth),) = DataLoader(windows, batch_size=8)
-    assert (readings.shape, truth.shape, readings.dtype) == ((8, 100, 6), (8, 100, 2), torch.float32)
-    np.testing.assert_array_equal(readings[5, :, 3:], flights["accel"][1, 100:200])
-    euler = roll_pitch_from_quat(flights["quat"].to_numpy()[1, 100:200].astype(float))
-    np.testing.assert_allclose(truth[5], euler, atol=1e-6)
-    with pytest.raises(ValueError, match="no whole flight of 500 samples"):
-        Windows(path, 500)
+def test_a_loader_gives_windows_of_readings_and_truth(dataset):
+    windows, flights = Windows(dataset, 150), open_dataset(dataset)
+    assert len(windows) == 5 * 5
+    ((readings, truth),) = DataLoader(windows, batch_size=25)
+    assert (readings.shape, truth.shape, readings.dtype) == ((25, 150, 6), (25, 150, 2), torch.float32)
+    np.testing.assert_array_equal(readings[6, :, 3:], flights["accel"][1, 150:300])
+    euler = roll_pitch_from_quat(flights["quat"].to_numpy()[1, 150:300].astype(float))
+    np.testing.assert_allclose(truth[6], euler, atol=1e-6)
+    with pytest.raises(ValueError, match="no whole flight of 900 samples"):
+        Windows(dataset, 900)
 
 
 def test_windows_of_a_task_are_for_tests_alone(tmp_path):
@@ -96,7 +90,7 @@ def test_windows_of_a_task_are_for_tests_alone(tmp_path):
     assert len(Windows(out, 50, held_out=True)) == 2
 
 
-def test_the_runner_of_neurobench_runs_an_estimator_and_a_network(path):
+def test_the_runner_of_neurobench_runs_an_estimator_and_a_network(dataset):
     pytest.importorskip("neurobench")
     from neurobench.benchmarks import Benchmark
     from neurobench.metrics.static import ParameterCount
@@ -105,7 +99,7 @@ def test_the_runner_of_neurobench_runs_an_estimator_and_a_network(path):
 
     from training.neurobench_runner import EstimatorModel, InclinationRmse
 
-    windows = Windows(path, 200)
+    windows = Windows(dataset, 200)
     loader = DataLoader(windows, batch_size=2)
     mahony = EstimatorModel(create("mahony"))
     found = Benchmark(mahony, loader, [], [], [[], [InclinationRmse, MSE]]).run(quiet=True)
