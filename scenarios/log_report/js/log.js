@@ -48,7 +48,8 @@ function panels() {
       lines: sigmas.map((name, k) => [name, line(name.slice(6), MODELS[k % MODELS.length])]) },
   ];
 }
-const estimates = (kind) => data.estimators.filter((name) => shown.has(name) && `${kind}|${name}` in log.scales).reverse()
+const estimates = (kind) => data.estimators.filter((name) => shown.has(name) && `${kind}|${name}` in log.scales)
+  .sort((a, b) => data.looks[a].dash.length - data.looks[b].dash.length) // dashed lines over solid ones
   .map((name) => [`${kind}|${name}`, line(name, data.looks[name].colour, { dash: dashes(data.looks[name], 1.4) })]);
 
 function draw() {
