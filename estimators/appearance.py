@@ -38,8 +38,8 @@ class Look(NamedTuple):
 
 FIXED = {
     "truth": Look(GREY, SOLID, "o"),
-    "complementary": Look(MAUVE, DASHDOT, "v"),
-    "complementary-adaptive": Look(MAUVE, DOTTED, "<"),
+    "complementary": Look(CORAL, DASHDOT, "v"),
+    "complementary-adaptive": Look(CORAL, DOTTED, "<"),
     "mahony": Look(MAGENTA, SOLID, "s"),
     "madgwick": Look(WINE, DASHED, "D"),
     "ekf": Look(SKY, SOLID, "^"),
@@ -48,7 +48,7 @@ FIXED = {
     "imm": Look(GREEN, DASHDOT, "p"),
     "ekf-filterpy": Look(SKY, DOTTED, ">"),
     "ukf-filterpy": Look(SKY, DASHED, "h"),
-    "vqf": Look(CORAL, DASHED, "d"),
+    "vqf": Look(MAUVE, DASHED, "d"),
     "att-rnn": Look(AMBER, DASHDOT, "*"),
     "att-rnn-paper": Look(AMBER, DOTTED, "P"),
     "att-snn": Look(RED, DASHED, "<"),

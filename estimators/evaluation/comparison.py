@@ -107,7 +107,9 @@ def behind_the_best(row: Any) -> str:
         return "reference" if row.unranked == "reference" else "not ranked"
     if row.behind_low_deg == row.behind_high_deg == 0.0:
         return "the best"
-    text = f"{row.behind_deg:.2f} ({row.behind_low_deg:.2f}–{row.behind_high_deg:.2f})"
+    text = f"{row.behind_deg:.2f}"
+    if row.flights > 1:
+        text += f" ({row.behind_low_deg:.2f}–{row.behind_high_deg:.2f})"
     return f"tied {text}" if row.tied else text
 
 
@@ -166,7 +168,6 @@ def evaluate(
         rows += [row | settled | {"initial": s} for s, row in found.items()]
         result.settling |= {(name, tilt): curve for tilt, curve in curves.items()}
         result.sequences |= {(name, s): row["sequences"] for s, row in found.items()}
-    progress(len(made), len(made), "")
     if rows and not result.sequences:
         flaws = dict.fromkeys(f"{each['estimator']} {each['flaw']}" for each in rows)
         raise ValueError(f"no estimator ran: {'; '.join(flaws)}")

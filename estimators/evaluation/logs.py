@@ -32,6 +32,8 @@ logger = logging.getLogger(__name__)
 RAW, KNOWN, SILENCED = KINDS = "raw", "known", "silenced"
 """The gyroscope as recorded, with its mean bias over the log subtracted where it is significant, and as
 recorded for a network with output weights of zero."""
+OF_DATASETS = ("median", "sd", "mean_low", "mean_high", "behind", "settle", "unranked", "tied")
+"""How columns begin that compare flights of a dataset, which a log has none of."""
 NO_ATTITUDE = "it has no attitude"
 """Why a log is compared in place of scored."""
 SKIP_S = 3.0
@@ -81,7 +83,7 @@ class ScoredLog:
         shown = ", ".join(f"{mean:+.2f} ± {half:.2f}" for mean, half in np.degrees(np.transpose(self.bias)))
         axes = [axis for axis, value in zip("xyz", self.bias.significant, strict=True) if value != 0.0]
         removed = f"{', '.join(axes)} removed" if axes else "not significant, nothing is removed"
-        return f"gyro bias ({shown}) °/s at 95 %: {removed}"
+        return f"gyro bias ({shown.replace('-', '−')}) °/s at 95 %: {removed}"
 
     def squares(self, name: str) -> Array:
         """Mean squared inclination error in each block of 10 s in which samples count, (blocks,) [deg²]."""
@@ -135,10 +137,11 @@ class LogScores(Evaluation):
 
     @cached_property
     def estimators(self) -> list[str]:
-        """Estimators, the smallest raw error first; those that are not ranked come last."""
+        """Estimators, the smallest raw error (without truth: force) first; those not ranked come last."""
         ran = [*self.table.estimator, *(name for log in self.logs.values() for name in log.estimates)]
+        force = {name: sum(each.force.get(name, np.inf) for each in self.compared.values()) for name in ran}
         error = {name: np.nan_to_num(self.mean(name, RAW), nan=np.inf) for name in ran}
-        return sorted(error, key=lambda name: (name in self.unranked, error[name]))
+        return sorted(error, key=lambda name: (name in self.unranked, error[name], force[name]))
 
     @property
     def ranked(self) -> list[str]:
@@ -146,15 +149,15 @@ class LogScores(Evaluation):
         return [name for name in self.estimators if name != LEVEL and name not in self.unranked]
 
     @property
-    def tied(self) -> list[str]:
+    def tied(self) -> list[str] | None:
         """Ranked estimators whose squared error is not significantly larger than that of the best.
 
-        Blocks of 10 s are compared in pairs; with fewer than four blocks there are no ties.
+        Blocks of 10 s are compared in pairs; None if there are fewer than four.
         """
         best, *others = self.ranked
         squares = {name: self._squares(name) for name in self.ranked}
-        if len(squares[best]) < FEWEST:
-            return []
+        if others and len(squares[best]) < FEWEST:
+            return None
         return [name for name in others if not is_larger(squares[name], squares[best])]
 
     def _squares(self, name: str) -> Array:
@@ -225,7 +228,7 @@ def score_logs(
         faults = "; ".join(fault.name for fault in one.faults)
         of_log = {"log": title, "initial": "unknown", "scored_s": one.counted_s, "faults": faults}
         rows += [of_log | row for row in ([level | {"bias": which} for which in (RAW, KNOWN)] + own)]
-    scores.table = pd.DataFrame(rows, columns=list(COLUMNS))
+    scores.table = pd.DataFrame(rows, columns=[each for each in COLUMNS if not each.startswith(OF_DATASETS)])
     if not any(log.estimates for log in scores.logs.values()):
         said = "; ".join(f"{name} {flaw}" for name, flaw in scores.unranked.items())
         raise ValueError(f"no estimator ran: {said}")

@@ -11,7 +11,7 @@ from ..runs.console import print_table, say
 from .cleaning import LONGEST_GAP_S
 from .log_faults import SensorFault, fast_part
 from .mounting import MeanForce, Rest
-from .recording import Array, Recording, mount_text
+from .recording import OWN_ESTIMATE, Array, Recording, mount_text
 from .thresholds import CHECK
 from .truth import Alignment
 
@@ -175,6 +175,8 @@ class LogReport:
     def _frame_warnings(self) -> Iterator[str]:
         """A truth that is missing or late, or an IMU that is mounted in another way."""
         found, rest = self.aligned, self.rest
+        if OWN_ESTIMATE in self.log.truth:
+            yield f"{self.log.truth}: errors are differences from that estimate"
         if self.log.truth == "none":
             yield UNSCORED
             if rest and rest.seconds >= CHECK.least_rest_s and rest.rate > np.radians(CHECK.large_bias_deg):
@@ -194,7 +196,7 @@ class LogReport:
             if turned and turned.gain > CHECK.mounted_gain and turned.common > CHECK.mounted_agreement:
                 gyro = f"the gyroscope rotated by {turned.rotation_deg:.0f}°"
                 yield f"the truth turns as {gyro} does: {self._mend_of_truth}"
-            if self.tilted:
+            if self.tilted and self.log.truth_axes == "body":  # a truth of the IMU's axes needs no mount
                 yield self.tilted
         late = abs(found.delay_s) > CHECK.delay_tolerance_s if found else False
         if found and late and found.turned.agreement >= CHECK.agreement:

@@ -70,3 +70,4 @@ def progress_bar(title: str, unit: str) -> Iterator[Bar]:
                 bar.live.transient = True
                 bar.remove_task(task)
             raise
+        bar.update(task, completed=bar.tasks[0].total, note="")

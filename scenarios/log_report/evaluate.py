@@ -52,12 +52,13 @@ def evaluate_logs(
     for path, log in read.items():
         report, reason = reports[path], prepared(log, within_deg).unscorable
         faults = [fault.sentence for fault in report.sensor_faults]  # which the verdict says
-        warnings += [f"{path}: {warning}" for warning in report.warnings if warning not in faults]
+        name = log.attrs["source"]
+        warnings += [f"{name}: {warning}" for warning in report.warnings if warning not in faults]
         if reason in ("", NO_ATTITUDE):
             used.append((reason, path))
         if reason:
             mend = f"; {report.tilted}" if report.tilted and "--within" in reason else ""
-            left_out.append(f"{path}: nothing to score: {reason}{mend}")
+            left_out.append(f"{name}: nothing to score: {reason}{mend}")
             warnings += [left_out[-1]] if UNSCORED not in report.warnings else []
     if not used:
         raise ValueError(left_out[0])

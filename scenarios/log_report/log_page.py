@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 MOST_SAMPLES = 12_000
 """Samples of a trace in the page; longer logs are decimated."""
-SHOWN = 3
+SHOWN = 4
 """Estimators drawn at first."""
 FAULT_COLOURS = {
     "bias jump": "#cc79a7",
@@ -53,9 +53,9 @@ def write_log_report(path: Path, scores: LogScores, warnings: Sequence[str] = ()
         series[name] = FlightSeries(every / log.flights.rate_hz, channels)
         about[name] = described(series[name]) | _about(log, every)
     names = [name for name in scores.estimators if name != LEVEL]
-    on_log = scores.on_logs()
+    on_log, by_log = scores.on_logs(), scores.scored if len(scores.scored) > 1 else []
     data = {
-        "estimators": sorted(names),
+        "estimators": names,
         "looks": {name: look._asdict() for name, look in looks(names).items()},
         "shown": names[:SHOWN],
         "logs": about,
@@ -68,13 +68,13 @@ def write_log_report(path: Path, scores: LogScores, warnings: Sequence[str] = ()
         warnings=warnings,
         logs=list(scores.logs),
         rows=[
-            {"estimator": name, "values": [*means, *on_log.loc[name, scores.scored]]}
+            {"estimator": name, "values": [*means, *on_log.loc[name, by_log]]}
             for name in scores.estimators
             if name in on_log.index
             for means in [[scores.mean(name, kind) for kind in KINDS]]
         ],
         faulty=scores.faulty,
-        scored=scores.scored,
+        by_log=by_log,
         compared=[{"log": log} | _compared(found) for log, found in scores.compared.items()],
         **uplot(),
         script=script("log_report/js/log.js"),

@@ -66,6 +66,8 @@ def _headline(scores: LogScores, level: float) -> str:
         text = f"No estimator is much better than a level guess ({level:.2f}°){over}"
         return f"{text}; the best is {best}, {error:.2f}°."
     tied = f" (the difference from {', '.join(scores.tied)} is not significant)" if scores.tied else ""
+    if scores.tied is None:
+        tied = " (too little is scored to say which differences are significant)"
     return f"Smallest error: {best}, {error:.2f}° inclination RMSE{tied}{over}."
 
 

@@ -152,7 +152,7 @@ def _crash_cell(entry: Entry) -> Cell:
     if not flown:
         return NONE
     low, high = wilson(crashes, flown)
-    return Cell(f"{crashes} of {flown} ({100 * low:.1f}–{100 * high:.1f} %)", crashes / flown)
+    return Cell(f"{crashes} of {flown} ({100 * low:.1f}–{100 * high:.1f}\u00a0%)", crashes / flown)
 
 
 def loop_errors(entry: Entry) -> Summary | None:
@@ -179,7 +179,8 @@ def _cost_cells(entry: Entry) -> dict[str, Cell]:
         "parameters": Cell(str(entry.card.parameter_count), entry.card.parameter_count),
     }
     for heading, value in {"operations": cost.operations, "energy [nJ]": cost.nanojoules}.items():
-        found[heading] = Cell("–" if value is None else f"{value:.3g}", value, cost.model)
+        text = "–" if value is None else f"{value:.3g}" if value < 1000 else f"{value:.0f}"
+        found[heading] = Cell(text, value, cost.model)
     return found
 
 
@@ -217,17 +218,18 @@ def fronts(entries: Sequence[Entry]) -> Figure:
         "modelled energy per sample [nJ]": lambda cost: cost.nanojoules,
         "time per sample in Python [µs]": lambda cost: cost.ns / 1e3,
     }
+    points_of = {}
     for axes, (label, of) in zip(figure.subplots(1, 2), panels.items(), strict=True):
         found = [(of(cost), error, name) for cost, error, name in shown]
         points: list[Any] = sorted(point for point in found if None not in point)
         for cost, error, name in points:
-            axes.plot(cost, error, drawn[name].marker, color=drawn[name].colour)
-            axes.annotate(name, (cost, error), (4, 4), textcoords="offset points", fontsize=7)
+            (points_of[name],) = axes.plot(cost, error, drawn[name].marker, color=drawn[name].colour)
         best = np.minimum.accumulate([error for _, error, _ in points]) if points else np.empty(0)
         front = [(c, e) for (c, e, _), least in zip(points, best, strict=True) if e == least]
         axes.plot([c for c, _ in front], [e for _, e in front], color="0.5", linewidth=0.8)
         axes.set(xscale="log", xlabel=label, ylabel="error in closed loop [°]")
         axes.grid(alpha=0.3)
+    figure.legend([*points_of.values()], [*points_of], loc="outside right upper", fontsize=8)
     return figure
 
 

@@ -1,6 +1,9 @@
 """What the templates of the reports share: the environment, and numbers as they are shown."""
 
+import re
+
 import jinja2
+from markupsafe import Markup, escape
 
 
 def render(name: str, **context: object) -> str:
@@ -12,9 +15,14 @@ def render(name: str, **context: object) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["number"] = _number
+    environment.filters |= {"number": _number, "code": _code}
     return environment.get_template(name).render(context)
 
 
 def _number(value: float | None, digits: int) -> str:
     return "–" if value is None else f"{value:.{digits}f}"
+
+
+def _code(line: str) -> Markup:
+    """A line in which what stands between backticks is code."""
+    return Markup(re.sub("`(.*?)`", r"<code>\1</code>", str(escape(line))))

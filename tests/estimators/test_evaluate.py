@@ -184,6 +184,13 @@ def test_a_sequence_that_equals_update_is_scored(flights):
     assert same.mean_deg == pytest.approx(plain.mean_deg)
 
 
+def test_one_flight_has_no_interval(flights):
+    done = evaluate(flights.isel(flight=[0]), ["mahony", "ekf"], initial=("unknown",), settle_s=1.0)
+    for row in columns(done):
+        assert (row["95 %"], row["SD [°]"]) == (None, None)
+        assert "(" not in row["error minus the best [°]"]
+
+
 def test_run_refuses_a_sequence_that_differs_from_update_and_leaves_the_last_state(flights):
     gyro, accel = flights.gyro.values[:, :1000], flights.accel.values[:, :1000]
     with pytest.raises(ValueError, match="Faster: sequence does not give the estimates of update"):

@@ -216,7 +216,7 @@ EVALUATE = ("evaluate", "--estimator", "mahony", "--out", "out")
 def test_evaluate_leaves_a_log_without_attitude_out_and_says_so(log, tmp_path, printed):
     logs = [saved(tmp_path / f"{name}.npz", log, valid=name == "with") for name in ("with", "without")]
     out = printed(*EVALUATE, "--logs", logs[0], "--logs", logs[1])
-    assert "without.npz: nothing to score: it has no attitude" in out
+    assert "warning: without: nothing to score: it has no attitude" in out
     assert "nan" not in out
     assert set(pd.read_csv(tmp_path / "out" / "logs.csv")["log"]) == {"with"}
     out = printed(*EVALUATE, "--logs", logs[1])

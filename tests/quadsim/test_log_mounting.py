@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation
 from sensor import GRAVITY, readings, reported, write_csv
 
 from quadsim.logs import read_recording
+from quadsim.logs.log_report import UNSCORED
 from quadsim.logs.mounting import MountEstimate, estimate_mount
-from quadsim.logs.recording import Recording, mount_matrix, mount_text, mounted
+from quadsim.logs.recording import OWN_ESTIMATE, Recording, mount_matrix, mount_text, mounted
 from quadsim.logs.resample import resample
 from quadsim.rotation import (
     matrix_from_quat,
@@ -124,6 +125,11 @@ def recorded(make_flights, truth_axes="body", seed=0, noise=0.003, late_s=0.02):
     return Recording("x", "test", time, *turned, "mocap", time + late_s, truth, truth_axes)
 
 
+def without_truth(table):
+    """Remove the attitude from a column map."""
+    table.write_text("".join(x for x in table.read_text().splitlines(True) if not x.startswith("quat")))
+
+
 def estimate(log: Recording, given: str | None = None) -> MountEstimate:
     return estimate_mount(resample(log)[0], given)
 
@@ -171,16 +177,18 @@ def test_a_log_that_turns_about_one_axis_alone_gives_no_mounting():
         estimate(replace(log, gyro=noise, quat=quat[:1] + 0 * quat))
 
 
-@pytest.mark.parametrize("truth_axes", ["body", "imu"])
+@pytest.mark.parametrize("truth", ["body", "none"])
 def test_the_command_that_a_tilted_log_names_prints_the_mount_that_mends_it(
-    tmp_path, make_flights, truth_axes, printed
+    tmp_path, make_flights, truth, printed
 ):
-    path = write_csv(tmp_path, recorded(make_flights, truth_axes, late_s=0.0), f'truth_axes = "{truth_axes}"')
+    path = write_csv(tmp_path, recorded(make_flights, late_s=0.0))
+    if truth == "none":
+        without_truth(tmp_path / "x.toml")
     odd = reported(path)[1].warnings
     assert any(f"quadsim report {path} --find-mount best" in line for line in odd)
     mount = printed("report", path, "--find-mount", "best").split('--mount "')[1].split('"')[0]
     log, report = reported(path, mount=mount)
-    assert report.warnings == []
+    assert [line for line in report.warnings if line != UNSCORED] == []
     tilt = np.abs(log["accel"].to_numpy()[0].mean(axis=0)[:2])
     assert tilt.max() < 1.0
 
@@ -193,8 +201,7 @@ def test_a_log_that_is_far_from_level_names_its_mount_and_the_command(
     upright = mounted(flight, mount_matrix("rpy 10 -20 130"))
     path = write_csv(tmp_path, mounted(upright, mount_matrix("rpy 0 -90 0")), 'truth_axes = "imu"')
     if truth_axes == "none":
-        table = tmp_path / "x.toml"
-        table.write_text("".join(x for x in table.read_text().splitlines(True) if not x.startswith("quat")))
+        without_truth(tmp_path / "x.toml")
     said = refused(*EVALUATE, "--logs", path)
     assert f"`quadsim report {path} --find-mount best` estimates" in said
     mount = said.split('--mount "')[1].split('"')[0]
@@ -203,11 +210,22 @@ def test_a_log_that_is_far_from_level_names_its_mount_and_the_command(
     printed(*EVALUATE, "--logs", path, "--mount", mount)
 
 
-def test_evaluate_says_that_a_log_is_tilted_before_its_table(tmp_path, make_flights, printed):
-    path = write_csv(tmp_path, recorded(make_flights, "imu"), 'truth_axes = "imu"')
-    out = printed(*EVALUATE, "--logs", path)
-    assert f"`quadsim report {path} --find-mount best` estimates" in out
-    assert out.index("--find-mount") < out.index("Inclination RMSE")
+@pytest.mark.parametrize("truth_axes", ["body", "imu"])
+def test_only_a_truth_of_the_body_asks_for_a_mount_before_the_table(
+    tmp_path, make_flights, truth_axes, printed
+):
+    path = write_csv(tmp_path, recorded(make_flights, truth_axes), f'truth_axes = "{truth_axes}"')
+    before, _, _ = printed(*EVALUATE, "--logs", path, "--force").partition("Inclination RMSE")
+    assert (f"`quadsim report {path} --find-mount best` estimates" in before) == (truth_axes == "body")
+
+
+def test_a_truth_that_is_an_estimate_of_the_log_s_own_is_said():
+    time, gyro, accel, quat = tilting()
+    log = Recording("x", "x", time, gyro, accel).with_truth(
+        f"ATT: the autopilot's {OWN_ESTIMATE}", time, quat
+    )
+    assert resample(log)[1].warnings == [f"{log.truth}: errors are differences from that estimate"]
+    assert resample(replace(log, truth="motion capture"))[1].warnings == []
 
 
 def test_a_heading_of_the_mounting_that_gravity_does_not_show_is_said(make_flights):

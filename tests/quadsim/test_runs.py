@@ -19,9 +19,16 @@ from estimators.tuned import Tuned, Tuning, to_toml
 from quadsim.config.toml import parse, read_toml
 from quadsim.runs import compiled
 from quadsim.runs.compiled import njit
+from quadsim.runs.console import progress_bar
 from quadsim.runs.files import alone, replace, write_csv, write_whole
 from quadsim.runs.fingerprint import code_digest, fingerprint, read_source
 from quadsim.runs.record import load_record, recorded
+
+
+def test_a_progress_bar_ends_full(capsys):
+    with progress_bar("evaluate", "runs") as bar:
+        bar(2, 3, "mahony")
+    assert "3/3 runs" in capsys.readouterr().err
 
 
 def full_disk(part: Path) -> None:

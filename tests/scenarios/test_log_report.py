@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from accessibility import findings
 
 from estimators import create
 from estimators.evaluation.beliefs import Beliefs, Coverage
@@ -42,7 +43,7 @@ def scored():
 
 @pytest.fixture(scope="module")
 def report(scored, tmp_path_factory):
-    return write_log_report(tmp_path_factory.mktemp("report") / "report.html", scored[1], ["mount it <so>"])
+    return write_log_report(tmp_path_factory.mktemp("report") / "report.html", scored[1], ["mount `it <so>`"])
 
 
 def test_verdict_names_the_best_the_bias_and_what_is_believed(scored):
@@ -62,9 +63,12 @@ def test_headline_names_estimators_that_do_not_differ_significantly_from_the_bes
     assert log_verdict(scores).headline.endswith("RMSE (the difference from b is not significant).")
     one = scores.logs["long"]
     one.estimates["b"] = one.estimates["b"] + np.radians(5.0)
-    assert not scores.tied
+    assert scores.tied == []
     scores.logs["long"] = replace(one, flights=replace(one.flights, truth=one.flights.truth * np.nan))
-    assert not scores.tied  # no block counts
+    assert scores.tied is None  # no block counts
+    assert log_verdict(scores).headline.endswith(
+        "(too little is scored to say which differences are significant)."
+    )
 
 
 def test_verdict_says_when_nothing_beats_a_level_guess(scored):
@@ -121,19 +125,16 @@ def test_the_faults_of_a_recording_are_those_of_its_scores_and_table(tmp_path):
 @pytest.mark.parametrize(
     ("inside", "sigma", "rmse", "said"),
     [
-        (1.0, 11.6, 2.5, " only because the interval is wide"),
-        (1.0, 2.6, 2.5, " only because the interval is wide"),
-        (0.97, 6.0, 2.5, " only because the interval is wide"),
-        (0.97, 9.0, 9.0, ", but the error is large"),
-        (0.97, 2.0, 2.0, ""),
+        (1.0, 11.6, 2.5, ", so the interval is too wide"),
+        (0.97, 6.0, 2.5, ", so the interval is too wide"),
+        (1.0, 2.6, 2.5, ""),
+        (0.97, 9.0, 9.0, ""),
     ],
 )
-def test_a_wide_interval_or_a_large_error_does_not_reassure(inside, sigma, rmse, said):
-    figures = f": its median σ is {sigma}° at an error of {rmse}° RMS" if said else ""
-    assert (
-        Coverage(inside, sigma, rmse).text
-        == f"{100 * inside:.0f} % of the true angles are inside its 95 % interval{said}{figures}"
-    )
+def test_an_interval_is_too_wide_by_its_sigma_beside_the_error_alone(inside, sigma, rmse, said):
+    covered = f"{100 * inside:.0f} % of the true angles are inside its 95 % interval"
+    figures = f"its median σ is {sigma}° at an error of {rmse}° RMS"
+    assert Coverage(inside, sigma, rmse).text == f"{covered}; {figures}{said}"
 
 
 def test_the_error_beside_an_interval_is_of_roll_and_pitch_where_they_count():
@@ -147,9 +148,21 @@ def test_the_error_beside_an_interval_is_of_roll_and_pitch_where_they_count():
 def test_page_needs_nothing_else_and_escapes_what_is_the_user_s(report):
     text = report.read_text()
     assert "calm &amp; &lt;quiet&gt;" in text
-    assert "mount it &lt;so&gt;" in text
+    assert "mount <code>it &lt;so&gt;</code>" in text
     assert not re.search(r'(src|href)="(?!data:|#)', text)
     assert "Permission is hereby granted" in text  # uPlot's licence goes with it
+
+
+def test_a_single_log_has_no_column_beside_the_means_and_no_interval_over_flights(report, tmp_path):
+    scores = score_logs([log("only")], ["mahony"])
+    page = write_log_report(tmp_path / "r.html", scores).read_text()
+    assert re.findall(r'class="num"><button type="button">(.*?)<', page) == [
+        "raw",
+        "bias removed",
+        "silenced",
+    ]
+    assert len(re.findall(r'class="num"><button', report.read_text())) == 3 + 2
+    assert not scores.table.filter(regex="low|high|tied").columns.any()
 
 
 def test_long_logs_are_decimated(tmp_path):
@@ -197,12 +210,22 @@ def test_panels_have_one_time_axis(page):
     page.evaluate("PLOTS[0].setScale('x', {min: 5, max: 6})")
     assert page.evaluate("PLOTS.map((plot) => [plot.scales.x.min, plot.scales.x.max])") == [[5, 6]] * 6
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    hint = page.get_by_text("Scroll the table sideways").first
+    assert hint.is_visible() == page.evaluate(
+        "all('.scroll').some((box) => box.scrollWidth > box.clientWidth + 1)"
+    )
+    assert findings(page) == []
 
 
-def test_another_log_and_another_estimator_are_drawn(page):
+def test_numbers_of_panels_have_a_minus_sign_and_no_negative_zero(page):
+    assert page.evaluate("[-2.5, -0.001, 0, null].map(shownValue)") == ["−2.50", "0.00", "0.00", ""]
+
+
+def test_another_log_and_another_estimator_are_drawn(page, scored):
     page.select_option("#log", "biased")
     assert page.evaluate("PLOTS.length") == 5  # imm was not scored on it
     before = page.evaluate("PLOTS.at(-1).series.length")
+    assert page.locator("#chips button").all_inner_texts() == scored[1].ranked
     page.click("#chips button >> nth=0")
     assert abs(page.evaluate("PLOTS.at(-1).series.length") - before) == 1
 

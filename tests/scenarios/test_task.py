@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from accessibility import findings
 from scipy.io import savemat
 from task_entries import BAD, FAIR, LEVEL, LOOP, TASK, TILTED
 
@@ -246,7 +247,7 @@ def test_the_probability_of_improvement_counts_paired_flights(place):
     assert standing([fallen, mine], flights) == ["Mine", "Fallen"]
 
 
-def test_entries_of_another_task_or_code_have_a_table_of_their_own(place, tmp_path):
+def test_entries_of_another_task_or_code_have_a_table_of_their_own(place, tmp_path, browser):
     mine = load_entry(place / "out" / "Mine" / "entry.json")
     for name, change in {"task": {"task": "1" * 64}, "code": {"code": "2" * 64}, "same": {}}.items():
         (tmp_path / name).mkdir()
@@ -258,6 +259,12 @@ def test_entries_of_another_task_or_code_have_a_table_of_their_own(place, tmp_pa
     assert 'Flawed<br><small class="failed">not ranked: it opened &lt;a file&gt;' in page
     assert "task 11111111" in page
     assert "code 22222222" in page
+    shown = browser.new_page()
+    shown.goto((tmp_path / "board.html").as_uri())
+    shown.click("table >> nth=2 >> th button >> nth=0")
+    assert shown.get_attribute("table >> nth=2 >> th >> nth=0", "aria-sort") == "ascending"
+    assert findings(shown) == []
+    shown.close()
 
 
 def test_the_command_runs_a_task_and_merges_folders(place, printed, refused, tmp_path):

@@ -3,6 +3,7 @@ import { $, all, css, node } from "../../report/js/dom.js";
 import { dashes, legendKey, paint } from "../../report/js/markers.js";
 import { addPanel, AXES, line, pointAt, shade } from "../../report/js/panels.js";
 import { makeSortable } from "../../report/js/tables.js";
+import { themed } from "../../report/js/theme.js";
 
 const data = JSON.parse($("data").textContent);
 const MISSING = -32768, PLOTS = [];
@@ -48,6 +49,7 @@ function panels() {
   ];
 }
 const estimates = (kind) => data.estimators.filter((name) => shown.has(name) && `${kind}|${name}` in log.scales)
+  .sort((a, b) => data.looks[a].dash.length - data.looks[b].dash.length) // dashed lines over solid ones
   .map((name) => [`${kind}|${name}`, line(name, data.looks[name].colour, { dash: dashes(data.looks[name], 1.4) })]);
 
 function draw() {
@@ -78,12 +80,7 @@ function point(plot) {
   pointAt(PLOTS.filter((other) => other !== plot), left >= 0 ? plot.posToVal(left, "x") : NaN);
 }
 
-$("theme").onclick = () => {
-  const dark = document.documentElement.dataset.theme
-    ? document.documentElement.dataset.theme === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
-  document.documentElement.dataset.theme = dark ? "light" : "dark";
-  draw();
-};
+themed(draw);
 for (const dot of all(".dot")) paint(dot, data.looks[dot.dataset.estimator]);
 for (const name of data.estimators) {
   const chip = node("button", { type: "button", "data-estimator": name }, legendKey(data.looks[name]), name);

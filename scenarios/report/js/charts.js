@@ -30,10 +30,10 @@ function drawViolins() {
     for (const s of scenario ? [scenario] : data.scenarios) cell(s, e)?.histogram?.forEach((count, i) => { total[i] += count; });
     return [e, total, total.reduce((a, b) => a + b, 0)];
   }).filter(([, , n]) => n > 0);
-  const [left, width, tall] = [165, 900, 46], bottom = 26, height = rows.length * tall + bottom;
+  const [left, width, tall] = [165, $("violins").clientWidth, 46], bottom = 26, height = rows.length * tall + bottom;
   const X = (decade) => left + ((decade - low) / (high - low)) * (width - left - 20);
   const svg = node("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": "Distribution of errors by estimator" });
-  for (const v of [0.01, 0.1, 1, 10, 100]) svg.append(...mark(X(Math.log10(v)), height, bottom, `${v}°`));
+  for (const v of [0.1, 1, 10, 100]) svg.append(...mark(X(Math.log10(v)), height, bottom, `${v}°`));
   rows.forEach(([name, counts, n], i) => {
     const smooth = blur(counts), peak = Math.max(...smooth), middle = (i + 0.5) * tall, step = (high - low) / bins;
     const edge = (sign) => [...smooth].map((c, k) => `${X(low + (k + 0.5) * step).toFixed(1)},${(middle + sign * (c / peak) * tall * 0.42).toFixed(1)}`);

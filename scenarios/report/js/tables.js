@@ -1,16 +1,21 @@
 /* Tables that a heading sorts, and the fading edge of those that are wider than the page. */
-import { all } from "./dom.js";
+import { all, node } from "./dom.js";
 
 export function makeSortable() {
   for (const box of all(".scroll")) markCut(box);
   for (const table of all("table.sortable")) {
-    all("th", table).forEach((th, column) => {
+    all("thead th", table).forEach((th, column) => {
       th.querySelector("button").onclick = () => sortBy(table, th, column);
     });
   }
 }
 function markCut(box) {
-  const mark = () => box.classList.toggle("cut", box.scrollLeft + box.clientWidth < box.scrollWidth - 1);
+  const hint = node("p", { class: "hint print-hide" }, "Scroll the table sideways for more columns →");
+  const mark = () => {
+    hint.hidden = box.scrollWidth <= box.clientWidth + 1;
+    box.classList.toggle("cut", box.scrollLeft + box.clientWidth < box.scrollWidth - 1);
+  };
+  box.before(hint);
   box.addEventListener("scroll", mark, { passive: true });
   new ResizeObserver(mark).observe(box);
 }
