@@ -42,7 +42,7 @@ def test_every_level_is_flown_equally_often_and_beside_every_other():
 
 
 def test_a_combination_is_its_scenario_with_what_the_levels_set():
-    levels = {"initial attitude": "given, 4° wrong", "motion": "4 m/s", "drag": "twice what is known"}
+    levels = {"initial attitude": "given, 4° wrong", "motion": "4 m/s", "drag": "twice the known value"}
     levels |= {"airframe": "crazyflie", "IMU": "rough, vibration, lever arm"}
     base = load_scenario("saturation")
     found = with_levels(base, levels, AXES.axes)
