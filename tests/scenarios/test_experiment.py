@@ -60,7 +60,7 @@ def test_a_designed_benchmark_flies_loads_and_has_its_levels_in_the_table(tmp_pa
     unknown = {name for name, levels in results.levels.items() if levels["drag"] == "not known"}
     failed = {(cell.scenario, cell.estimator) for cell in results.cells if cell.reason}
     assert failed == {(name, "ekf-drag") for name in unknown}
-    assert results.by_level["drag", "not known", "ekf-drag"].reason.startswith("ekf-drag needs a vehicle")
+    assert results.by_level["drag", "not known", "ekf-drag"].reason.startswith("ekf-drag needs the drag")
     assert not any(row.reason for row in results.by_level.values() if row.flights)
     assert load_results(tmp_path) == results
     table = pd.read_parquet(tmp_path / "flights.parquet")
