@@ -1,5 +1,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
+PROSE := *.md quadsim estimators training scenarios paper docs benchmarks examples assets
+AVOIDED := amiss|anew|breath|hangs? together|is gone|is wanted|knees?|leant|likewise|nobody|revive|that there (are|is)|told|untrue|what came of
 
 .PHONY: install tools run test extras check docs video clean
 
@@ -20,7 +22,7 @@ check: tools  ## Linter, formatter, type checker, import contract, pages that we
 	$(BIN)/basedpyright
 	$(BIN)/lint-imports
 	$(BIN)/python docs/pages.py --check
-	$(BIN)/python docs/words.py
+	! grep -rnwiE --include=*.py --include=*.md --exclude=CHANGELOG.md "$(AVOIDED)" $(PROSE)
 
 install: .venv/installed  ## What flies, compares and reports
 

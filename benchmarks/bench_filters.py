@@ -1,7 +1,7 @@
 """Speed of filters and networks: `python -m benchmarks.bench_filters`.
 
-One run on one thread; each number is the best of several repetitions. Peers are VQF's C++ in one call, the
-package ahrs, and PyTorch's GRU. The time of one update of one vehicle is in docs/chip.md.
+One run on one thread; each number is the best of several repetitions. Peers are VQF's C++ in one call and the
+package ahrs. The time of one update of one vehicle is in docs/chip.md.
 """
 
 from collections.abc import Callable
@@ -9,12 +9,10 @@ from collections.abc import Callable
 import ahrs
 import numpy as np
 import pandas as pd
-import torch
 from numpy.typing import NDArray
 from vqf import VQF
 
 from estimators import create, names, run
-from estimators.networks.weights_file import load_network
 
 from .timing import spent
 
@@ -43,16 +41,6 @@ def ns_per_sample(name: str, gyro: NDArray, accel: NDArray, repetitions: int) ->
     return best_of(lambda: run(est, gyro, accel), repetitions) / gyro[..., 0].size * 1e9
 
 
-def torch_gru(gyro: NDArray, accel: NDArray) -> float:
-    """Nanoseconds per sample of PyTorch's GRU with the sizes of att-rnn-paper, its inputs scaled already."""
-    torch.set_num_threads(1)
-    network = torch.nn.GRU(6, load_network("att-rnn-paper")[0].hidden, num_layers=2, batch_first=True)
-    x = torch.tensor(np.concatenate([gyro, accel], axis=-1), dtype=torch.float32)
-    with torch.no_grad():
-        network(x[:, :10])
-        return best_of(lambda: network(x), 5) / gyro[..., 0].size * 1e9
-
-
 def measure(flights: int = 16, seconds: float = 100.0) -> pd.DataFrame:
     """Estimators and peers: a sample of a batch, and that over VQF's C++."""
     gyro, accel = motion(flights, seconds)
@@ -68,8 +56,6 @@ def measure(flights: int = 16, seconds: float = 100.0) -> pd.DataFrame:
     for name, make in (("Mahony", ahrs.filters.Mahony), ("Madgwick", ahrs.filters.Madgwick)):
         theirs = best_of(lambda make=make: make(gyr=gyro[0, few], acc=accel[0, few], frequency=RATE_HZ), 2)
         found[f"*ahrs, {name}*"] = theirs / len(gyro[0, few]) * 1e9
-    theirs = torch_gru(gyro[:, few], accel[:, few])
-    found[f"*PyTorch, the GRU of att-rnn-paper, {flights} sequences*"] = theirs
     return pd.DataFrame({"run_ns": found}).assign(run_over_vqf=lambda table: table["run_ns"] / cpp)
 
 

@@ -1,8 +1,8 @@
 """What a simulated step costs: `python -m benchmarks.bench_simulation`.
 
-    pip install crazyflow rotorpy   # for their rows
+    pip install crazyflow   # for its rows
 
-Beside its engine and other simulators, on one thread, jobs in turns. A ratio is the median of the ratios
+Beside its engine and another simulator, on one thread, jobs in turns. A ratio is the median of the ratios
 within the rounds. Wall and CPU time differ where a job uses several threads, or has to wait.
 """
 
@@ -44,22 +44,6 @@ def raw_steps(model: mujoco.MjModel, data: mujoco.MjData, steps: int) -> Callabl
         mujoco.mj_resetData(model, data)
         data.ctrl[2] = load_vehicle("hummingbird").mass * 9.81
         mujoco.mj_step(model, data, nstep=steps)
-
-    return work
-
-
-def rotorpy_flight(duration: float) -> Callable[[], object]:
-    from rotorpy.controllers.quadrotor_control import SE3Control
-    from rotorpy.environments import Environment
-    from rotorpy.trajectories.circular_traj import ThreeDCircularTraj
-    from rotorpy.vehicles.hummingbird_params import quad_params
-    from rotorpy.vehicles.multirotor import Multirotor
-
-    def work() -> None:
-        path = ThreeDCircularTraj(radius=np.array([2, 2, 0]))
-        flown = Environment(Multirotor(quad_params), SE3Control(quad_params), path, sim_rate=int(RATE))
-        unwanted = dict.fromkeys(("use_mocap", "terminate", "plot", "animate_bool", "verbose"), False)
-        flown.run(t_final=duration, **unwanted)
 
     return work
 
@@ -130,8 +114,6 @@ def all_jobs() -> dict[str, Job]:
         for integrator, n, steps in (("RK4", 64, 1000), ("RK4", 1024, 100), ("Euler", 1024, 100)):
             work = crazyflow_batch(n, integrator.lower(), steps)
             jobs[f"crazyflow, {integrator}, n = {n}"] = work, n * steps
-    if find_spec("rotorpy"):
-        jobs["rotorpy: controller, IMU, recording"] = rotorpy_flight(0.5), 0.5 * RATE
     return jobs
 
 

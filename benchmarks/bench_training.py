@@ -1,17 +1,15 @@
 """One training step of Att-SNN: `python -m benchmarks.bench_training`.
 
-Forward and backward over 40 windows of 10 s. Norse and snnTorch take part where they are installed. All take
-turns, a step each, on the same network and batch. Before that, each is held against the fused kernel on a
-short batch: the same outputs, up to rounding (the libraries deliver spikes within the step, so theirs come
-two steps earlier). The dense floor is the time that the matrix products of the step would take if every
-weight were used in every step.
+Forward and backward over 40 windows of 10 s. All variants take turns, a step each, on the same network and
+batch. Before that, each is held against the fused kernel on a short batch: the same outputs, up to rounding
+(Norse delivers spikes within the step, so its outputs come two steps earlier). The dense floor is the time
+that the matrix products of the step would take if every weight were used in every step.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -29,8 +27,7 @@ sys.path.append(str(Path(__file__).parents[1] / "tests" / "support"))
 from plain_network import forward  # pyright: ignore[reportMissingImports]  (a folder of the tests)
 
 BATCH, STEPS, HIDDEN = 40, 2000, 100
-FUSED, FLOOR, PLAIN = "fused, quantised", "dense floor", "plain PyTorch, floats"
-NORSE, SNNTORCH = "Norse cells, floats", "snnTorch, floats"
+FUSED, NORSE = "fused, quantised", "Norse cells, floats"
 
 Network = Callable[[Tensor], Tensor]
 
@@ -91,46 +88,14 @@ def norse() -> Network:
     return run
 
 
-def snntorch() -> Network:
-    import snntorch as library
-
-    w = parameters()
-    gradient = library.surrogate.fast_sigmoid(slope=20)
-
-    def layer(syn: Tensor, mem: Tensor, reset: str) -> library.Synaptic:
-        return library.Synaptic(
-            syn.detach(), mem.detach(), THRESHOLD, gradient, learn_alpha=True, learn_beta=True,
-            reset_mechanism=reset, reset_delay=False,
-        )  # fmt: skip
-
-    encoding, hidden = layer(w.syn0, w.mem0, "zero"), layer(w.syn1, w.mem1, "zero")
-    readout = layer(w.syn2, w.mem2, "none")
-
-    def run(x: Tensor) -> Tensor:
-        drive = (x.float() @ w.w_in.T).unbind(1)
-        u0 = v0 = s1 = u1 = v1 = torch.zeros(len(x), HIDDEN)
-        u2 = v2 = torch.zeros(len(x), 2)
-        out = []
-        for t in range(x.shape[1]):
-            s0, u0, v0 = encoding(drive[t], u0, v0)
-            s1, u1, v1 = hidden(s0 @ w.w_ff.T + s1 @ w.w_rec.T, u1, v1)
-            _, u2, v2 = readout(s1 @ w.w_out.T, u2, v2)
-            out.append(v2)
-        return torch.stack(out, 1)
-
-    return run
-
-
 VARIANTS: dict[str, Callable[[], Network]] = {
     FUSED: fused,
     "fused, floats": lambda: fused(quantised=False),
-    PLAIN: plain,
-    SNNTORCH: snntorch,
+    "plain PyTorch, floats": plain,
     NORSE: norse,
 }
-NEEDS = {NORSE: "norse", SNNTORCH: "snntorch"}
 EARLY = 2
-"""Steps by which a library's outputs come before ours."""
+"""Steps by which Norse's outputs come before ours."""
 
 
 def step(network: Network, x: Tensor) -> None:
@@ -149,14 +114,14 @@ def dense_floor() -> tuple[float, float]:
 
 def same_outputs(variant: str, n: int = 4, steps: int = 200) -> bool:
     """Whether a variant computes what the fused kernel does, on a short batch."""
-    x, early = inputs(n, steps), EARLY * (variant in NEEDS)
+    x, early = inputs(n, steps), EARLY * (variant == NORSE)
     found = VARIANTS[variant]()(x).detach()
     expected = fused(quantised="quantised" in variant)(x).detach()
     return bool((found[:, : steps - early] - expected[:, early:]).abs().max() < 1e-4)
 
 
-def measure(rounds: int = 5) -> pd.DataFrame:
-    """Let all variants that are installed take turns; a row of the table for each.
+def measure(rounds: int = 9) -> pd.DataFrame:
+    """Let all variants take turns; a row of the table for each.
 
     Raises:
         ValueError: A variant computes something else than the fused kernel.
@@ -164,14 +129,12 @@ def measure(rounds: int = 5) -> pd.DataFrame:
     torch.set_num_threads(1)
     x, jobs = inputs(BATCH, STEPS), {}
     for name, variant in VARIANTS.items():
-        if name in NEEDS and not find_spec(NEEDS[name]):
-            continue
         if not same_outputs(name):
             raise ValueError(f"{name}: its outputs differ from the fused kernel's")
         network = variant()
         step(network, x)
         jobs[name] = lambda network=network: spent(lambda: step(network, x))
-    times = in_turns(jobs | {FLOOR: dense_floor}, rounds)
+    times = in_turns(jobs | {"dense floor": dense_floor}, rounds)
     found = pd.DataFrame({name: np.median(each, axis=0) for name, each in times.items()}, ["wall", "cpu"]).T
     return found.add_suffix("_s").join((found / found.loc[FUSED]).add_suffix("_ratio"))
 

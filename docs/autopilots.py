@@ -6,17 +6,17 @@ from importlib.metadata import version
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from pages import ROOT, Part, Row, Values, span
 from scipy.stats import t as student
 
 from estimators import create
+from estimators.evaluation.comparison import made_of
 from estimators.metrics import attitude_error
 from estimators.running import run_quietly
 from quadsim.estimator import Readings
 from quadsim.flight.scenario import changed, load_scenario
-from quadsim.flight.world import CAUSES
-from quadsim.runs.console import progress_bar
 from quadsim.runs.files import write_whole
 from quadsim.runs.fingerprint import ASSETS
 from quadsim.seeding import vehicle_seeds
@@ -35,9 +35,8 @@ BETAFLIGHT, GAIN = "betaflight", 0.25
 """Its name; its proportional gain, `imu_dcm_kp` / 10 000."""
 OURS = ("mahony", "imm", "vqf", "att-snn-loihi")
 RATE_MODE = "hover", "step"
-REPEATS, REPEATED = 5, "step"
 SHORT_S = 10.0
-"""Length of flights in rate mode and of those that are repeated [s]."""
+"""Length of flights in rate mode [s]."""
 
 
 class Flight(NamedTuple):
@@ -47,7 +46,7 @@ class Flight(NamedTuple):
     truth: Array
     estimate: Array
     distance: Array  #: from the set-point, (n, T) [m]
-    causes: list[str]
+    crashed: NDArray[np.bool_]  #: (n,)
 
 
 def flown(
@@ -70,46 +69,42 @@ def flown(
     gyro, accel, rotor_vel, truth, estimate, distance = (
         np.stack(each, axis=1) for each in zip(*rows, strict=True)
     )
-    causes = [CAUSES[cause] for cause in mission.cause]
-    return Flight(Readings(gyro, accel, rotor_vel), truth, estimate, distance, causes)
+    return Flight(Readings(gyro, accel, rotor_vel), truth, estimate, distance, mission.cause > 0)
 
 
-def errors_of(flight: Flight) -> dict[str, Array]:
-    """Mean absolute error of roll and pitch of each flight, by estimator, (n,) [deg]."""
-    estimates = {BETAFLIGHT: flight.estimate}
-    start = flight.truth[:, 0]
-    for name in OURS:
-        made = create(name, vehicle="hummingbird", imu=IMU)
-        estimates[name] = run_quietly(made, flight.readings, start)
-    same = create("mahony", k_p=GAIN, k_i=0.0)
-    estimates[f"mahony, k_P = {GAIN}, k_I = 0"] = run_quietly(same, flight.readings, start)
-    estimates["always level"] = np.zeros_like(flight.truth)
-    return {name: np.array(attitude_error(each, flight.truth).sequences) for name, each in estimates.items()}
+def errors_of(flights: Sequence[Flight]) -> pd.DataFrame:
+    """Mean absolute error of roll and pitch of all flights, by estimator [deg]."""
+    made = made_of(OURS, 200.0, vehicle="hummingbird", imu=IMU)
+    made[f"mahony, k_P = {GAIN}, k_I = 0"] = create("mahony", k_p=GAIN, k_i=0.0)
+    found = []
+    for each in flights:
+        estimates = {BETAFLIGHT: each.estimate}
+        estimates |= {name: run_quietly(est, each.readings, each.truth[:, 0]) for name, est in made.items()}
+        estimates["always level"] = np.zeros_like(each.truth)
+        errors = {name: attitude_error(own, each.truth).sequences for name, own in estimates.items()}
+        found.append(pd.DataFrame(errors))
+    return pd.concat(found)
 
 
-def interval(values: Array) -> float:
+def interval(values: pd.Series) -> float:
     """Half the 95 % interval of a mean, Student's."""
-    return float(student.ppf(0.975, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values)))
+    return float(student.ppf(0.975, len(values) - 1) * values.sem())
 
 
-def compared(flights: Sequence[Flight]) -> dict[str, Array]:
-    """Errors of all flights, by estimator."""
-    found = [errors_of(each) for each in flights]
-    return {name: np.concatenate([each[name] for each in found]) for name in found[0]}
-
-
-def rows_of(both: Sequence[dict[str, Array]]) -> list[Row]:
+def rows_of(both: Sequence[pd.DataFrame]) -> list[Row]:
     """For each estimator and each IMU the mean error and the difference from Betaflight's."""
+    rows = []
+    for name in both[0]:
+        cells = []
+        for errors in both:
+            own, behind = errors[name], errors[name] - errors[BETAFLIGHT]
+            difference = "" if name == BETAFLIGHT else f"{behind.mean():+.2f} ± {interval(behind):.2f}"
+            cells += [f"{own.mean():.2f} ± {interval(own):.2f}", difference]
+        rows.append((name, *cells))
+    return rows
 
-    def cells(errors: dict[str, Array], name: str) -> Row:
-        mean = f"{errors[name].mean():.2f} ± {interval(errors[name]):.2f}"
-        behind = errors[name] - errors[BETAFLIGHT]
-        return mean, "" if name == BETAFLIGHT else f"{behind.mean():+.2f} ± {interval(behind):.2f}"
 
-    return [(name, *cells(both[0], name), *cells(both[1], name)) for name in both[0]]
-
-
-def sentence(errors: dict[str, Array]) -> str:
+def sentence(errors: pd.DataFrame) -> str:
     """Which of our estimators differ from Betaflight's, in words."""
     words: dict[str, list[str]] = {"smaller": [], "not significantly different": [], "larger": []}
     for name in OURS:
@@ -124,33 +119,24 @@ def sentence(errors: dict[str, Array]) -> str:
 def flight_row(scenario: str, mode: str, flight: Flight) -> Row:
     """How a scenario was flown."""
     error = attitude_error(flight.estimate, flight.truth).sequences
-    crashed, settled = [each for each in flight.causes if each], flight.distance[:, 400:]
-    return (
-        scenario, mode, f"{len(crashed)} of {len(flight.causes)}", float(np.mean(error)),
-        float(np.sqrt((settled**2).mean())), float(np.degrees(np.nanmax(np.abs(flight.truth)))),
-    )  # fmt: skip
+    crashes = f"{flight.crashed.sum()} of {len(flight.crashed)}"
+    distance = float(np.sqrt((flight.distance[:, 400:] ** 2).mean()))
+    largest = float(np.degrees(np.nanmax(np.abs(flight.truth))))
+    return scenario, mode, crashes, float(np.mean(error)), distance, largest
 
 
 def betaflight(part: Part, given: Namespace) -> Values:
-    """Fly 20 flights with each IMU, replay their readings, and repeat one flight."""
+    """Fly 20 flights with each IMU, and replay their readings."""
     text = (ASSETS / "imus" / f"{IMU}.toml").read_text("utf-8")
     write_whole(CALIBRATED, text.replace("turn_on = 0.0087", "turn_on = 0.0", 1))
-    flights: dict[str, list[Flight]] = {}
-    with progress_bar("betaflight", "flights") as bar:
-        jobs = [(imu, k) for imu in (IMU, str(CALIBRATED)) for k in range(len(SCENARIOS))]
-        for done, (imu, k) in enumerate(jobs, 1):
-            flights.setdefault(imu, []).append(flown(SCENARIOS[k], EACH * k, imu))
-            bar(done, len(jobs))
-    suite, calibrated = flights.values()
-    both = [compared(suite), compared(calibrated)]
+    suite, calibrated = (
+        [flown(name, EACH * k, imu) for k, name in enumerate(SCENARIOS)] for imu in (IMU, str(CALIBRATED))
+    )
+    both = [errors_of(suite), errors_of(calibrated)]
     rate = [flown(name, 0, IMU, "betaflight-rate", n=2, seconds=SHORT_S) for name in RATE_MODE]
-    repeats = [flown(REPEATED, 0, IMU, n=1, seconds=SHORT_S) for _ in range(REPEATS)]
-    ends = np.array([each.distance[0, -1] for each in repeats])
-    means = np.array([attitude_error(each.estimate, each.truth).sequences[0] for each in repeats])
-    same = all(np.array_equal(each.estimate, repeats[0].estimate) for each in repeats)
     own, theirs = (errors[BETAFLIGHT].mean() for errors in both)
     half = interval(both[0][BETAFLIGHT])
-    crashes = sum(bool(cause) for each in suite for cause in each.causes)
+    crashes = sum(each.crashed.sum() for each in suite)
     count = EACH * len(SCENARIOS)
     return {
         "verdict": f"Betaflight's estimator has an error of {own:.2f}° (95 % interval "
@@ -166,8 +152,4 @@ def betaflight(part: Part, given: Namespace) -> Values:
             *(flight_row(name, "angle", each) for name, each in zip(SCENARIOS, suite, strict=True)),
             *(flight_row(name, "rate", each) for name, each in zip(RATE_MODE, rate, strict=True)),
         ],
-        "repeats": f"The scenario `{REPEATED}` was flown {REPEATS} times for {SHORT_S:g} s with the same "
-        f"seed. The standard deviation is {(ends - ends[0]).std(ddof=1):.3g} m for the final distance from "
-        f"the set-point and {(means - means[0]).std(ddof=1):.3g}° for the error of the estimate. The "
-        f"estimates are {'equal, bit for bit' if same else 'not equal'}.",
     }

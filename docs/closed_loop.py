@@ -1,4 +1,4 @@
-"""Fly the held-out suite, the designed axes, the suite, long flights and breaking points, for results.md.
+"""Fly the held-out suite, the designed axes, the suite and breaking points, for results.md.
 
 A run that is cut short resumes, as `quadsim bench` does.
 """
@@ -6,8 +6,6 @@ A run that is cut short resumes, as `quadsim bench` does.
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from datetime import date
-from textwrap import fill
-from typing import Any
 
 import matplotlib
 import numpy as np
@@ -16,34 +14,26 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from pages import ROOT, Part, Row, Values, number, table
 
-from estimators.appearance import looks
 from estimators.networks.network import silenced
 from estimators.networks.weights_file import load_network, save_network
 from estimators.registry import NETWORKS
-from quadsim.control.gains import design, loop_margins
 from quadsim.held_out import HeldOut, load_held_out, releases
 from quadsim.runs.console import progress_bar
-from quadsim.vehicle import load_vehicle
 from scenarios.bench.cell import FlightSettings
-from scenarios.bench.controllers import TRUTH, default_estimators
+from scenarios.bench.controllers import default_estimators
 from scenarios.bench.experiment import load_experiment
 from scenarios.bench.recommendation import Recommendation, recommendation, save_recommendation
 from scenarios.bench.results import Results
 from scenarios.bench.runner import bench
 from scenarios.bench.verdict import Verdict, conditions, shown, verdict
-from scenarios.report.page import publish
 
 OUT = ROOT / "reports" / "closed-loop"
 AXES, BREAKING = load_experiment("axes"), load_experiment("breaking-points")
 SEEDS = 20
-"""Of the suite and of long flights."""
-LONG = ("hover", "figure-8", "dryden-moderate", "wind-8")
-LONG_S = 100.0
-LONG_NAMES = (TRUTH, "att-snn-loihi", "att-rnn", "ekf-drag", "eskf", "mahony", "vqf")
+"""Of the suite."""
 SILENCED = OUT / "silenced.safetensors"
 """A network with output weights of zero."""
 SWEEPS = ("constant wind", "step of the gyro bias", "lost samples")
-DELAYS_MS = (0, 5, 15, 30, 60, 100)
 BEHIND, TRACKING = "error minus that of rank 1 [°]", "attitude tracking [°]"
 
 
@@ -89,30 +79,6 @@ def by_level(results: Results, axis: str) -> pd.DataFrame:
     )
 
 
-def draw_levels(results: Results) -> Figure:
-    """Mean errors at each level of each axis; open markers: some flights crashed."""
-    appearance = looks(name for name in results.estimators if name not in results.unranked)
-    figure = Figure(figsize=(11.0, 9.6), layout="constrained")
-    panels = figure.subplots(3, 2, sharey=True).ravel()
-    for panel, (axis, levels) in zip(panels, results.axes.items(), strict=True):
-        shifts = 0.7 * ((np.arange(len(appearance)) + 0.5) / len(appearance) - 0.5)
-        for shift, (name, look) in zip(shifts, appearance.items(), strict=True):
-            panel.plot([], [], look.marker, color=look.colour, markersize=5, label=name)
-            for x, level in enumerate(levels):
-                each = results.by_level[axis, level, name]
-                style = {"color": look.colour, "mfc": "white" if each.crashes else look.colour}
-                panel.plot(x + shift, each.error_deg or np.nan, look.marker, markersize=5, **style)
-        panel.set_xticks(range(len(levels)), [fill(level, 14) for level in levels], fontsize="small")
-        panel.set_title(axis, fontsize="medium", loc="left")
-        panel.set_yscale("log")
-        panel.set_yticks([1, 2, 5, 10], ["1", "2", "5", "10"])
-        panel.minorticks_off()
-    figure.supylabel("error [°]")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=6, frameon=False)
-    figure.suptitle("Mean error of flights without a crash; open markers: some flights crashed")
-    return figure
-
-
 def ranges(held_out: HeldOut) -> list[Row]:
     """What the held-out suite is drawn from."""
     said = {
@@ -129,7 +95,7 @@ def ranges(held_out: HeldOut) -> list[Row]:
 
 
 def held_out(part: Part, given: Namespace) -> Values:
-    """Fly the held-out suite, whose recommendation is saved, and the axes; draws the axes' levels."""
+    """Fly the held-out suite, whose recommendation is saved, and the axes."""
     drawn = load_held_out(releases()[-1])
     unseen = verdict(fly("held-out", default_estimators(), "held-out"))
     command, today = "quadsim bench --experiment held-out", date.today().isoformat()
@@ -138,7 +104,6 @@ def held_out(part: Part, given: Namespace) -> Values:
     )
     looked_at = fly("axes", default_estimators(), "axes")
     judged = verdict(looked_at)  # which repeats the recommendation
-    part.save(draw_levels(looked_at), "verdict-axes.png", dpi=110, colours=128)
     return {
         "release": drawn.release,
         "seed": str(drawn.seed),
@@ -160,15 +125,10 @@ def held_out(part: Part, given: Namespace) -> Values:
 # --- the suite ------------------------------------------------------------------------------------
 
 
-def by_cell(results: Results) -> dict[tuple[str, str], Any]:
-    """Crashes and metrics of each scenario with each estimator."""
-    return {(each.scenario, each.estimator): each for each in results.rows}
-
-
 def heat_map(results: Results, names: Sequence[str]) -> Figure:
     """Mean error of every estimator in every scenario, best estimators first; crashes in bold."""
     scenarios = list(results.scenarios)
-    rows = by_cell(results)
+    rows = {(each.scenario, each.estimator): each for each in results.rows}
     error = np.array([[rows[s, e].error_deg or np.nan for e in names] for s in scenarios], dtype=float)
     figure = Figure(figsize=(9.6, 0.27 * len(scenarios) + 1.6), layout="constrained")
     axes = figure.subplots()
@@ -202,78 +162,25 @@ def suite_standings(judged: Verdict, silent: Results) -> pd.DataFrame:
     return found[["estimator", "crashed", "error [°]", "silenced network [°]", BEHIND, TRACKING]]
 
 
-def breaking_points(results: Results) -> list[Row]:
-    """The least level of each disturbance at which an estimator crashed."""
-    return [(name, *(results.breaking_point(sweep, name) for sweep in SWEEPS)) for name in results.estimators]
-
-
-def long_flights(results: Results) -> list[Row]:
-    """Crashes and attitude tracking over that of the truth, in the long flights; a silenced network last."""
-    rows = by_cell(results)
-
-    def entry(name: str, scenario: str) -> str:
-        cell, truth = rows[scenario, name], rows[scenario, TRUTH]
-        crashes = f", ✕ {cell.crashes}" if cell.crashes else ""
-        if not (cell.attitude_deg and cell.position_m and truth.attitude_deg and truth.position_m):
-            return f"–{crashes}"
-        if name == TRUTH:
-            return f"{truth.attitude_deg:.2f}°{crashes}"
-        ratios = cell.attitude_deg / truth.attitude_deg, cell.position_m / truth.position_m
-        return f"{ratios[0]:.2f} ({shown(cell.error_deg)}, {ratios[1]:.2f}){crashes}"
-
-    titles = {str(SILENCED): "*a silenced network*"}
-    return [(titles.get(name, name), *(entry(name, each) for each in LONG)) for name in results.estimators]
-
-
-def delays() -> tuple[list[Row], list[str]]:
-    """Margins of the attitude loop at each delay of the estimator; and what 15 ms cost, in a sentence."""
-    vehicle = load_vehicle("hummingbird")
-    gains = vehicle.controller
-    assert gains is not None
-    found = {ms: loop_margins(vehicle, gains, estimator_delay=ms / 1e3)["attitude"] for ms in DELAYS_MS}
-    rows = []
-    for ms, m in found.items():
-        stable = "barely" if m.phase_deg > 0 and m.gain_db > 0 else "unstable"
-        affordable = "yes" if m.phase_deg >= 45 and m.gain_db >= 6 else stable
-        rows.append((ms, f"{m.phase_deg:.0f}", f"{m.gain_db:.1f}", f"{m.delay_ms:.0f}", affordable))
-    none, paid = found[0], found[15]
-    freed = loop_margins(vehicle, design(vehicle, estimator_delay=0.0), estimator_delay=0.0)["attitude"]
-    return rows, [
-        f"15 ms cost {none.phase_deg - paid.phase_deg:.0f}° of phase margin and "
-        f"{none.gain_db - paid.gain_db:.1f} dB of gain margin. "
-        f"{paid.phase_deg:.0f}° and {paid.gain_db:.1f} dB are left, and a spare delay",
-        f"of {paid.delay_ms:.0f} ms. A design without delay could have a crossover "
-        f"{100 * (freed.crossover / paid.crossover - 1):.0f} % higher.",
-    ]
-
-
 def suite(part: Part, given: Namespace) -> Values:
-    """Fly the suite, long flights and breaking points, and draw errors by scenario."""
+    """Fly the suite and breaking points, and draw errors by scenario."""
     OUT.mkdir(parents=True, exist_ok=True)
     config, tensors = load_network("att-snn-paper")
     save_network(SILENCED, config, silenced(config, tensors))
     names = default_estimators()
     results = fly("suite", names, seeds=SEEDS)
     silent = fly("silenced", [str(SILENCED)], seeds=SEEDS)
-    long = fly(
-        "long", [*LONG_NAMES, str(SILENCED)], scenarios=LONG, seeds=SEEDS, changes={"duration_s": LONG_S}
-    )
     breaking = fly("breaking", names, "breaking-points")
-    publish(OUT / "suite", results)
-    judged, (loop, price) = verdict(results), delays()
+    judged = verdict(results)
     ranked = [each.estimator for each in judged.standings if each.estimator not in results.unranked]
     part.save(heat_map(results, ranked), "heat-map.png", colours=128)
     size = f"{len(names)} estimators flew {len(results.scenarios)} scenarios with {SEEDS} seeds each"
     return {
         "verdict": judged.headline,
-        "conditions": fill(f"{conditions(results.scenarios)} {recommendation().elsewhere}", 125),
+        "conditions": f"{conditions(results.scenarios)} {recommendation().elsewhere}",
         "suite": f"{size} ({results.cost}).",
         "seeds": str(SEEDS),
         "breaking_seeds": str(BREAKING.seeds),
-        "long_s": f"{LONG_S:g}",
         "standings": suite_standings(judged, silent),
-        "breaking": breaking_points(breaking),
-        "long": long_flights(long),
-        "loop": loop,
-        "price": price,
+        "breaking": [(name, *(breaking.breaking_point(sweep, name) for sweep in SWEEPS)) for name in names],
     }

@@ -33,12 +33,9 @@ Array = NDArray[np.float64]
 OUT = ROOT / "reports" / "control"
 SEEDS = 20
 ESTIMATOR, SPIKING = "att-snn", "control-attitude"
-SAME = f"{ROOT / 'docs' / 'cascade.py'}:Cascade"
-"""The cascade's levels as a controller of set-points: it knows no trajectory to feed forward."""
 TEACHER, BASE = "cascade, truth", "cascade, Att-SNN"
 NAMES = {
     TEACHER: "truth",
-    "cascade without trajectory, truth": f"truth @ {SAME}",
     "spiking, truth": f"truth @ {SPIKING}",
     BASE: ESTIMATOR,
     "spiking, Att-SNN": f"{ESTIMATOR} @ {SPIKING}",
@@ -120,96 +117,62 @@ def step_response(make: MakeController | None, estimator: Any) -> Array:
     return np.stack(roll[REST:], axis=1)
 
 
-def step_responses() -> dict[str, Array]:
-    """Those of the contenders; without a trajectory to follow, the cascade that knows none is the cascade."""
+def steps(part: Part) -> list[Row]:
+    """Rise, overshoot and remaining error after a step of the set-point; draws mean and range of roll."""
     estimators = {TEACHER: None, BASE: create(ESTIMATOR)}
-    return {
-        title: step_response(make_controller(controller_of(name)), estimators[base_of(title)])
-        for title, name in NAMES.items()
-        if controller_of(name) != SAME
-    }
-
-
-def draw_steps(responses: dict[str, Array]) -> Figure:
-    """Mean and range of the responses."""
     figure = Figure(figsize=(8.0, 3.8), layout="constrained")
-    axes = figure.subplots()
-    time = np.arange(round(STEP_S * 200)) / 200.0
+    axes, rows = figure.subplots(), []
     axes.axhline(STEP_DEG, color="0.3", lw=0.8, ls=":")
-    for (title, response), colour in zip(responses.items(), COLOURS, strict=True):
+    for (title, name), colour in zip(NAMES.items(), COLOURS, strict=True):
+        response = step_response(make_controller(controller_of(name)), estimators[base_of(title)])
+        mean, time = response.mean(axis=0), np.arange(response.shape[1]) / 200.0
         axes.fill_between(time, response.min(axis=0), response.max(axis=0), color=colour, alpha=0.15, lw=0)
-        axes.plot(time, response.mean(axis=0), color=colour, label=title)
-    axes.set_xlabel("time after the step [s]")
-    axes.set_ylabel("roll [°]")
-    axes.legend(loc="lower right")
-    return figure
-
-
-def step_figures(responses: dict[str, Array]) -> list[Row]:
-    """Rise, overshoot and what is left."""
-    rows = []
-    for title, response in responses.items():
-        mean = response.mean(axis=0)
+        axes.plot(time, mean, color=colour, label=title)
         risen = mean > 0.9 * STEP_DEG
         rise = np.argmax(risen) / 200.0 if risen.any() else np.nan
         left = f"{np.abs(mean[-40:] - STEP_DEG).mean():.1f}"
         rows.append((title, rise, f"{100 * max(mean.max() / STEP_DEG - 1.0, 0.0):.0f} %", left))
-    return rows
-
-
-def on_cores() -> list[Row]:
-    """Cores of the chip that the controller takes, by its decay profiles."""
-    config, tensors = load_network(SPIKING)
-    rows = []
-    for profiles in (None, *PROFILES):
-        cores = OnLoihi(config, share_profiles(tensors, profiles) if profiles else tensors).cores
-        bits = sum(core.used()["synaptic bits"] for core in cores) / LIMITS["synaptic bits"]
-        rows.append((f"{profiles}, shared" if profiles else "as trained", len(cores), bits))
+    axes.set(xlabel="time after the step [s]", ylabel="roll [°]")
+    axes.legend(loc="lower right")
+    part.save(figure, "control-steps.png")
     return rows
 
 
 def with_profiles() -> list[Row]:
-    """What few decay profiles cost the controller."""
+    """What few decay profiles save of the chip, and cost the controller; 0 profiles are those it has."""
     config, tensors = load_network(SPIKING)
-    names = {"as trained": f"truth @ {SPIKING}"}
-    for profiles in PROFILES:
-        file = OUT / f"profiles-{profiles}.safetensors"
-        save_network(file, config, share_profiles(tensors, profiles))
-        names[f"{profiles}, shared after the training"] = f"truth @ {file}"
-    rows = flown("profiles", ["truth", *names.values()], scenarios=NOMINAL)
-    tracking, crashes = rows["attitude_deg"].unstack(), rows["crashes"].unstack().sum()
-    return [
-        (
-            title,
-            median_and_range(tracking[name] / tracking["truth"]),
-            f"{crashes[name]:.0f}",
-            f"{crashes['truth']:.0f}",
+    networks = {0: tensors} | {k: share_profiles(tensors, k) for k in PROFILES}
+    names = {k: f"truth @ {OUT / f'profiles-{k}.safetensors'}" for k in networks}
+    for k, each in networks.items():
+        save_network(OUT / f"profiles-{k}.safetensors", config, each)
+    flights = flown("profiles", ["truth", *names.values()], scenarios=NOMINAL)
+    tracking, crashes = flights["attitude_deg"].unstack(), flights["crashes"].unstack().sum()
+    rows = []
+    for k, name in names.items():
+        cores = OnLoihi(config, networks[k]).cores
+        bits = sum(core.used()["synaptic bits"] for core in cores) / LIMITS["synaptic bits"]
+        ratios = median_and_range(tracking[name] / tracking["truth"])
+        both = f"{crashes[name]:.0f}", f"{crashes['truth']:.0f}"
+        rows.append(
+            (f"{k}, shared after the training" if k else "as trained", len(cores), bits, ratios, *both)
         )
-        for title, name in names.items()
-    ]
-
-
-def silenced_left() -> str:
-    """What remains of a step where the output weights are zero [°]."""
-    config, tensors = load_network(SPIKING)
-    silent = SpikingController(config, silenced(config, tensors))
-    return f"{np.abs(step_response(lambda *_: silent, None)[:, -1] - STEP_DEG).mean():.0f}"
+    return rows
 
 
 def controllers(part: Part, given: Namespace) -> Values:
     """Fly every contender, and draw their steps."""
     OUT.mkdir(parents=True, exist_ok=True)
     rows = flown("suite", list(NAMES.values()))
-    responses = step_responses()
-    part.save(draw_steps(responses), "control-steps.png")
+    config, tensors = load_network(SPIKING)
+    silent = SpikingController(config, silenced(config, tensors))
+    left = step_response(lambda *_: silent, None)[:, -1] - STEP_DEG
     return {
         "scenarios": tracking_table(rows, NAMES, "scenario"),
         "summary": summary(rows),
-        "steps": step_figures(responses),
-        "chip": on_cores(),
+        "steps": steps(part),
         "profiles": with_profiles(),
-        "silenced": silenced_left(),
-        "neurons": " + ".join(str(getattr(load_network(SPIKING).config, n)) for n in ("encoding", "hidden")),
+        "silenced": f"{np.abs(left).mean():.0f}",
+        "neurons": f"{config.encoding} + {config.hidden}",
         "elsewhere": elsewhere(),
         "flights": str(SEEDS * len(rows) // len(NAMES)),
         "seeds": str(SEEDS),

@@ -14,23 +14,23 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
-from pages import Part, Row, Value, Values, number, reduce_colours
+from pages import ROOT, Part, Row, Value, Values, number, reduce_colours
 from simulated import DESCRIPTION, PLAN, Generated, foreign, simulated
 
 from estimators import create
 from estimators.circuit.circuit_estimator import Silent
 from estimators.evaluation.beliefs import Beliefs, beliefs
 from estimators.evaluation.comparison import evaluate, made_of
-from estimators.evaluation.flights import vehicle_of
+from estimators.evaluation.flights import load_flights, vehicle_of
 from estimators.evaluation.logs import KNOWN, LEVEL, RAW, SILENCED, LogScores, score_logs
 from estimators.filters.drag.imm_model import MODELS
 from estimators.networks.network import NetworkEstimator
+from estimators.registry import parameters
 from paper.plan import CHIP, RNN, SNN, sizes_of
 from paper.run import write_results
 from paper.stages import TUNING, WEIGHTS
 from quadsim.estimator import AttitudeEstimator
 from quadsim.logs import read_log
-from quadsim.rotation import roll_pitch_from_quat
 from quadsim.vehicle import Vehicle
 from scenarios.bench.recommendation import recommendation
 
@@ -41,13 +41,7 @@ HOME, ROTORPY, BROAD, PHANTOM4 = "Hummingbird", "RotorPy", "BROAD", "Phantom 4"
 FOLDERS = {BROAD: "broad", PHANTOM4: "phantom4"}
 SKIP_S = {BROAD: 3.0, PHANTOM4: 5.0}
 """Time at the start of a recording that is not scored [s]."""
-VQF_DEFAULTS = {
-    "tauAcc": 3.0,
-    "biasForgettingTime": 100.0,
-    "biasSigmaInit": 0.5,
-    "biasSigmaMotion": 0.1,
-    "biasSigmaRest": 0.03,
-}
+VQF_DEFAULTS = {key: each.default for key, each in parameters("vqf").items() if each.searched}
 PACKAGE = "vqf, package's parameters"
 
 
@@ -125,12 +119,12 @@ def package_vqf() -> Made:
 WITHOUT_DRAG = ("mahony", "madgwick", "ekf", "eskf", "vqf")
 ALONE = "att-snn-paper"
 ROWS = {
-    "best": "best of `mahony`, `madgwick`, `ekf`, `eskf` and `vqf`",
+    "best": "best of five filters: `mahony`, `madgwick`, `ekf`, `eskf`, `vqf`",
     "imm": "`imm`, needs no vehicle data",
     "ekf-drag": "`ekf-drag`, given the vehicle's drag",
     "att-snn-loihi": "**Att-SNN on the emulated chip**",
     "att-rnn": "Att-RNN, the same network in floats",
-    ALONE: "the paper's network, trained for this Hummingbird only",
+    ALONE: "network of [the paper](docs/paper.md), trained on Hummingbird flights only",
     LEVEL: "always level",
 }
 COLUMNS = {
@@ -183,14 +177,6 @@ SIMULATED = {
 """Recipe and vehicle of flights on which nothing is trained."""
 
 
-def recorded_errors(scores: LogScores) -> list[Row]:
-    """Errors on a set of recordings, the smallest first: raw, silenced, without the gyroscope's bias."""
-    return [
-        (name, scores.mean(name, RAW), scores.mean(name, SILENCED), scores.mean(name, KNOWN))
-        for name in scores.estimators
-    ]
-
-
 def believed(name: str, found: Sequence[tuple[Beliefs, Array, NDArray[np.bool_]]]) -> Row:
     """Mean shares of imm's models, coverage, and σ over error of recordings: beliefs, truth, what counts."""
     shares = np.mean([list(each.share().values()) for each, _, _ in found], axis=0)
@@ -202,12 +188,12 @@ def believed(name: str, found: Sequence[tuple[Beliefs, Array, NDArray[np.bool_]]
 
 def believed_in_flight(name: str, data: Path) -> Row:
     """The same of simulated flights; those of an earlier run if they are there."""
-    flown = SIMULATED[name].at(data / f"docs-{name.replace(', ', '-')}.zarr")
-    gyro, accel, quat = (flown[name].to_numpy().astype(float) for name in ("gyro", "accel", "quat"))
-    its = beliefs(create("imm", RATE_HZ), gyro, accel)
+    flights = load_flights([SIMULATED[name].at(data / f"docs-{name.replace(', ', '-')}.zarr")])
+    its = beliefs(create("imm", RATE_HZ), flights.gyro, flights.accel)
     assert its is not None
-    counted = np.broadcast_to(np.arange(gyro.shape[1]) >= SETTLED_S * RATE_HZ, gyro.shape[:2])
-    return believed(name, [(its, roll_pitch_from_quat(quat), counted)])
+    counted = np.zeros(flights.truth.shape[:2], np.bool_)
+    counted[:, round(SETTLED_S * RATE_HZ) :] = True
+    return believed(name, [(its, flights.truth, counted)])
 
 
 def recordings(part: Part, given: Namespace) -> Values:
@@ -225,7 +211,10 @@ def recordings(part: Part, given: Namespace) -> Values:
     }
     for name, logs in recorded(given.recordings).items():
         values |= {
-            FOLDERS[name]: recorded_errors(scores[name]),
+            FOLDERS[name]: [
+                (each, *(scores[name].mean(each, kind) for kind in (RAW, SILENCED, KNOWN)))
+                for each in scores[name].estimators
+            ],
             f"{FOLDERS[name]}_count": str(len(logs)),
             f"{FOLDERS[name]}_s": f"{sum(float(log.attrs['duration_s']) for log in logs):.0f}",
         }
@@ -243,8 +232,8 @@ FILTERS = ("complementary", "mahony", "madgwick", "ekf")
 
 
 def paper(part: Part, given: Namespace) -> Values:
-    """The page and figures of a finished run, and the errors of its networks and filters elsewhere."""
-    parts = given.run / "full"
+    """The page and figures of the run in runs/paper, and the errors of its networks and filters elsewhere."""
+    parts = ROOT / "runs" / "paper" / "full"
     write_results(parts, part.path.parent, sizes_of("full"))
     for figure in (part.path.parent / "img").glob("paper-*.png"):
         reduce_colours(figure, 64)

@@ -1,7 +1,6 @@
 """The estimators on flights that were not used for tuning or training."""
 
 from argparse import Namespace
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -9,19 +8,18 @@ import pandas as pd
 import xarray as xr
 from errors import on_flights, with_silenced
 from pages import Part, Row, Values, span
-from simulated import DESCRIPTION, DURATION_S, PLANS, ROTORPY_S, SETS, foreign, simulated
+from simulated import DURATION_S, PLAN, PLANS, ROTORPY_S, SETS, foreign, simulated
 
 from estimators import create, names
 from estimators.evaluation.comparison import Evaluation, behind_the_best, evaluate
 from estimators.evaluation.error_figures import settling, violins
-from estimators.evaluation.flights import Flights, load_flights, vehicle_of
+from estimators.evaluation.flights import load_flights, vehicle_of
 from estimators.metrics import attitude_error, inclination_error
 from estimators.registry import FILTERPY
 from estimators.running import run_quietly
-from estimators.tuned import load_tuning
 from quadsim.estimator import AttitudeEstimator, Readings
-from quadsim.runs.console import progress_bar
 from quadsim.vehicle import Vehicle, with_drag
+from scenarios.bench.cell import tuning_of
 
 DOMAINS = {"hummingbird-adis16448": "test", "px4-quad-px4-mini": "test-px4"}
 """Domain to its test flights."""
@@ -51,11 +49,6 @@ SPOILT_AT_S, RECOVERED_S = 20.0, 10.0
 """When that is, and how much later the estimate is compared with that of the undisturbed readings [s]."""
 
 
-def tuning_of(name: str, domain: str) -> str | None:
-    """The domain whose tuned parameters a filter has; None where it has its defaults."""
-    return domain if name in load_tuning(domain) else None
-
-
 def made(domain: str, vehicle: Vehicle | None) -> dict[str, AttitudeEstimator]:
     """All estimators, filters with the parameters of a domain."""
     return {
@@ -67,8 +60,7 @@ def made(domain: str, vehicle: Vehicle | None) -> dict[str, AttitudeEstimator]:
 
 def compared(part: Part, domain: str, dataset: xr.Dataset) -> Evaluation:
     """All estimators on the domain's test flights; draws the figures."""
-    with progress_bar(domain, "runs") as bar:
-        done = evaluate(dataset, made(domain, vehicle_of(dataset)), slow_flights=SLOW_FLIGHTS, progress=bar)
+    done = evaluate(dataset, made(domain, vehicle_of(dataset)), slow_flights=SLOW_FLIGHTS)
     for name, figure in {"violins": violins(done), "convergence": settling(done)}.items():
         part.save(figure, f"filters-{name}-{domain}.png", dpi=110)
     return done
@@ -86,39 +78,29 @@ def results(done: Evaluation, domain: str, data: Path) -> list[Row]:
         name = each.estimator + ("*" if each.flights < done.table["flights"].max() else "")
         mean = f"{each.mean_deg:.2f} ({span(each.mean_low_deg, each.mean_high_deg)})"
         numbers = each.median_deg, mean, each.sd_deg, each.silenced_deg, behind_the_best(each)
-        elsewhere = with_silenced(abroad.loc[each.estimator, each.initial])
+        rotorpy = with_silenced(abroad.loc[each.estimator, each.initial])
         settled = [f"{s:.1f}" if np.isfinite(s) else "never" for s in (each.settle_20_s, each.settle_45_s)]
-        rows.append((name, each.initial, *numbers, each.inclination_rmse_deg, elsewhere, *settled))
+        rows.append((name, each.initial, *numbers, each.inclination_rmse_deg, rotorpy, *settled))
     return rows
 
 
-def mean_error(name: str, flights: Flights, domain: str, vehicle: Vehicle | None) -> float:
-    """Mean over flights of the mean absolute error [deg]."""
-    est = create(name, flights.rate_hz, tuning=tuning_of(name, domain), vehicle=vehicle)
-    estimate = run_quietly(est, Readings(flights.gyro, flights.accel), flights.start)
-    return attitude_error(estimate, flights.truth).mean
-
-
-def elsewhere(data: Path) -> Iterator[tuple[str, str, xr.Dataset]]:
-    """Other kinds of flight: what they are, the domain of the tuned parameters, and the dataset."""
-    for name, (what, domain) in ELSEWHERE.items():
-        yield what, domain, simulated(name, data)
+def elsewhere(data: Path) -> list[Row]:
+    """Errors on other kinds of flight, started in motion, with the drag right, wrong and absent."""
+    sets = [(what, domain, simulated(name, data)) for name, (what, domain) in ELSEWHERE.items()]
     for airframe, dataset in zip(PLANS, foreign(data), strict=True):
         for wind, what in ROTORPY_WINDS.items():
-            chosen = np.flatnonzero(dataset["wind_model"] == wind)
-            yield f"RotorPy's {airframe}, {what}", next(iter(DOMAINS)), dataset.isel(flight=chosen)
-
-
-def elsewhere_errors(data: Path) -> list[Row]:
-    """Errors on other kinds of flight, started in motion, with the drag right, wrong and absent."""
+            chosen = dataset.isel(flight=np.flatnonzero(dataset["wind_model"] == wind))
+            sets.append((f"RotorPy's {airframe}, {what}", next(iter(DOMAINS)), chosen))
     rows = []
-    for what, domain, dataset in elsewhere(data):
+    for what, domain, dataset in sets:
         flights, vehicle = load_flights([dataset]).pieces(PIECES), vehicle_of(dataset)
-        assert vehicle is not None
-        drags = [
-            mean_error("ekf-drag", flights, domain, with_drag(vehicle, k)) for k in (1.0, 0.5, 2.0, 0.01)
-        ]
-        rows.append((what, *drags, *(mean_error(name, flights, domain, None) for name in ("vqf", "eskf"))))
+        given = [("ekf-drag", with_drag(vehicle, k)) for k in (1.0, 0.5, 2.0, 0.01)]
+        errors = []
+        for name, airframe in [*given, ("vqf", None), ("eskf", None)]:
+            est = create(name, flights.rate_hz, tuning=tuning_of(name, domain), vehicle=airframe)
+            estimate = run_quietly(est, Readings(flights.gyro, flights.accel), flights.start)
+            errors.append(attitude_error(estimate, flights.truth).mean)
+        rows.append((what, *errors))
     return rows
 
 
@@ -147,7 +129,7 @@ def spoilt(dataset: xr.Dataset, domain: str) -> pd.DataFrame:
 
 def filters(part: Part, given: Namespace) -> Values:
     """Measure everything, and draw."""
-    tables = {"elsewhere": elsewhere_errors(given.data)}
+    tables = {"elsewhere": elsewhere(given.data)}
     sets = {domain: simulated(name, given.data) for domain, name in DOMAINS.items()}
     for domain, dataset in sets.items():
         done = compared(part, domain, dataset)
@@ -161,6 +143,6 @@ def filters(part: Part, given: Namespace) -> Values:
         "pieces": str(PIECES),
         "piece_s": f"{DURATION_S / PIECES:g}",
         "foreign_piece_s": f"{ROTORPY_S / PIECES:g}",
-        "rotorpy": DESCRIPTION,
+        "rotorpy": PLAN,
         "recovered": f"{RECOVERED_S:g}",
     }

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from errors import on_flights, with_silenced
 from pages import Part, Row, Values, confirmed, span
-from simulated import DESCRIPTION, foreign, simulated
+from simulated import PLAN, foreign, simulated
 
 from estimators import create, run
 from estimators.analysis.ablation import error_deg
@@ -98,7 +98,7 @@ def errors_and_training(part: Part, given: Namespace) -> Values:
     return {
         "flights": str(len(flights.gyro)),
         "duration": f"{flights.gyro.shape[1] / flights.rate_hz:g}",
-        "rotorpy": DESCRIPTION,
+        "rotorpy": PLAN,
         "results": network_errors(given.data),
         "rounding": f"{cost_of_rounding(flights):.3f}",
         "weights": sizes(flights),

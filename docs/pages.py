@@ -223,8 +223,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--stamp", action="store_true", help="accept edits of the named parts")
     parser.add_argument("--data", type=Path, default=ROOT / "data", help="simulated flights")
     parser.add_argument("--recordings", type=Path, default=ROOT / "data" / "recordings", help="real flights")
-    parser.add_argument("--run", type=Path, default=ROOT / "runs" / "paper", help="finished run of the paper")
-    parser.add_argument("--rounds", type=int, default=9, help="turns of what is timed")
     given = parser.parse_args(arguments)
     if unknown := set(given.names) - set(PARTS):
         parser.error(f"no part {', '.join(unknown)}; there are {', '.join(PARTS)}")

@@ -19,7 +19,7 @@ from quadsim.identify.fit_report import draw_fit
 from quadsim.identify.model import UNITS, constant, with_constants
 from quadsim.imu.spec import ImuSpec, Sensor, load_imu
 from quadsim.imu.stream import simulate_imu
-from quadsim.logs.allan import calibrate, draw
+from quadsim.logs.allan import calibrate, draw, model_variance
 from quadsim.logs.recording import Recording
 from quadsim.plant import Plant
 from quadsim.rotation import quat_conjugate, quat_multiply
@@ -38,13 +38,6 @@ GUESSES = (0.75, 1.3)
 """What each constant is multiplied by before the fit, at random."""
 
 
-def allan_theory(sensor: Sensor, t: Array) -> Array:
-    """Allan deviation of white noise plus a first-order Gauss-Markov bias at averaging times t [s]."""
-    n, sigma, tau = sensor.noise, sensor.random_walk, sensor.time_constant
-    decay = 3 - 4 * np.exp(-t / tau) + np.exp(-2 * t / tau)
-    return np.sqrt(n**2 / t + sigma**2 * tau**2 / t * (1 - tau / (2 * t) * decay))
-
-
 def allan() -> list[Row]:
     """Allan deviation of one hour of both IMUs over the formula."""
     rows, taus = [], np.array([0.1, 0.3, 1, 3, 10, 30, 100, 300])
@@ -61,7 +54,8 @@ def allan() -> list[Row]:
             found = [
                 [allantools.oadev(one, RATE_HZ, "freq", taus=[t])[1][0] ** 2 for t in taus] for one in each
             ]
-            over = np.sqrt(np.mean(found, axis=0)) / allan_theory(sensor, taus)
+            theory = model_variance(taus, sensor.noise, sensor.random_walk, sensor.time_constant)
+            over = np.sqrt(np.mean(found, axis=0) / theory)
             rows.append((f"{preset} {name}", *(f"{each:.3f}" for each in over)))
     return rows
 

@@ -50,7 +50,7 @@ BLOCK = re.compile(
 """A block of code of a tutorial: why it is not run, its language, the file that it belongs in, its text."""
 INSTALL = f"""```python
 # In a clone: python -m build --wheel. Put the wheel from dist/ beside this notebook.
-%pip install --quiet "quadsim-{version("quadsim")}-py3-none-any.whl[train,export,rl,cluster]"
+%pip install --quiet "quadsim-{version("quadsim")}-py3-none-any.whl[train,export,rl]"
 ```
 """
 STAMP = re.compile(r"<!-- made by: [^>]*-->\n?")
@@ -114,7 +114,7 @@ def results() -> str:
     lines = (ROOT / "README.md").read_text("utf-8").splitlines()
     head = next(k for k, line in enumerate(lines) if line.startswith("| attitude estimator"))
     rows = [line for line in lines[head + 2 :] if line.startswith("|")]
-    wanted = [row for row in rows if "trained for this" not in row and "Att-RNN" not in row]
+    wanted = [row for row in rows if "trained on Hummingbird" not in row and "Att-RNN" not in row]
     return "\n".join([*lines[head : head + 2], *wanted[:ROWS]])
 
 

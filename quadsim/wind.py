@@ -1,4 +1,4 @@
-"""Wind: constant, 1−cosine gusts, sinusoids, Dryden turbulence, a recording, and any sum of them.
+"""Wind: constant, 1−cosine gusts, sinusoids, Dryden turbulence, and any sum of them.
 
 All are velocities of the air in world axes [m/s].
 
@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 from scipy.special import gammainc
 
-from .config.ranges import SAMPLE_RATE, WIND, Between, Duration, Instant, Rising, Speed, Wind
-from .config.series import read_series
+from .config.ranges import SAMPLE_RATE, Between, Duration, Instant, Rising, Speed, Wind
 from .config.toml import Strict
 from .runs.compiled import njit
 from .seeding import Seed, child, vehicle_seeds
@@ -110,23 +109,8 @@ class Sinusoid(Strict):
         return np.array(self.amplitude) * np.sin(angle)
 
 
-class WindRecording(Strict):
-    """Wind measured over time: a CSV file with the header `t,x,y,z` [s, m/s], linear between its rows."""
-
-    kind: Literal["file"] = "file"
-    path: str
-    """The CSV file; the first row holds before it, and the last row after it."""
-
-    def series(self, time: Array) -> Array:
-        """Velocity of the air (T, 3) at times (T,) [s]."""
-        at, *winds = read_series(self.path, WIND).T
-        return np.stack([np.interp(time, at, each) for each in winds], axis=-1)
-
-
-WindSpec: TypeAlias = Annotated[
-    Constant | Gust | Dryden | Sinusoid | WindRecording, Field(discriminator="kind")
-]
-"""Any wind of a TOML file, by its `kind`: "constant", "gust", "dryden", "sinusoid" or "file"."""
+WindSpec: TypeAlias = Annotated[Constant | Gust | Dryden | Sinusoid, Field(discriminator="kind")]
+"""Any wind of a TOML file, by its `kind`: "constant", "gust", "dryden" or "sinusoid"."""
 
 
 def dryden_scales(altitude: ArrayLike, wind_20ft: ArrayLike) -> tuple[Array, Array, Array, Array]:

@@ -7,7 +7,7 @@ from estimators.evaluation.comparison import evaluate
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
 from quadsim.flight.recipe import load_recipe
-from quadsim.runs.console import output, pool_of, progress_bar, say
+from quadsim.runs.console import output, progress_bar, say
 from quadsim.runs.files import alone
 from quadsim.runs.record import recorded
 
@@ -46,7 +46,7 @@ def run_bench(
     seed: int | None,
     rate_hz: float,
     tuning: str | None,
-    workers: str | None,
+    workers: int | None,
 ) -> None:
     """Fly an experiment, write its tables and report, and print the verdict: `quadsim bench`.
 
@@ -63,10 +63,10 @@ def run_bench(
         say(f"Without {left_out}; --estimator NAME chooses.")
     flown = contenders(names or default_estimators(), controllers)
     with alone(out):
-        with recorded(out), pool_of(workers) as (count, executor), progress_bar("fly", "cells") as progress:
+        with recorded(out), progress_bar("fly", "cells") as progress:
             results = bench(
                 scenarios or None, flown, out, settings, changes,
-                experiment=chosen, workers=count, executor=executor, progress=progress,
+                experiment=chosen, workers=workers, progress=progress,
             )  # fmt: skip
         page = publish(out, results)
     say(f"{results.cost}.")
@@ -76,7 +76,7 @@ def run_bench(
 
 
 def run_entries(
-    out: Path, task: str, sources: Sequence[str], recordings: Path | None, workers: str | None
+    out: Path, task: str, sources: Sequence[str], recordings: Path | None, workers: int | None
 ) -> None:
     """Run a task for entries and write the leaderboard of all in the folder: `quadsim bench --task`.
 
@@ -86,11 +86,10 @@ def run_entries(
     """
     wanted, out = load_task(task), out.expanduser()
     with alone(out):
-        with recorded(out), pool_of(workers) as (count, executor), progress_bar("run", "steps") as progress:
+        with recorded(out), progress_bar("run", "steps") as progress:
             entries = run_task(
-                wanted, sources, out,
-                recordings=recordings, workers=count, executor=executor, progress=progress,
-            )  # fmt: skip
+                wanted, sources, out, recordings=recordings, workers=workers, progress=progress
+            )
         for entry in entries:
             for reason in entry.reasons:
                 say(f"{entry.card.name} is not ranked: it {reason}", "yellow")
@@ -155,7 +154,7 @@ def print_verdict(page: Path, results: Results) -> None:
     output.print(standings_table(judged))
     if results.axes.keys() <= results.experiment.sweeps.keys():
         output.print(breaking_table(results))
-    if not results.experiment.axes:  # whose point are vehicles and IMUs that nobody tuned for
+    if not results.experiment.axes:  # which fly vehicles and IMUs without tuned parameters
         warn(results)
     for line in [f"{page}: {judged.headline}", *judged.lines]:
         say(line)

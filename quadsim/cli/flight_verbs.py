@@ -9,7 +9,7 @@ import typer
 
 from ..runs.console import progress_bar, say
 from ..runs.files import alone
-from .options import OWN_CONTROLLER, ConditionFields, Duration, Mcap, Pool, Rerun, Seed, Workers, settings_of
+from .options import OWN_CONTROLLER, ConditionFields, Duration, Mcap, Rerun, Seed, Workers, settings_of
 
 
 def fly(
@@ -153,7 +153,7 @@ def bench(
     seed: Annotated[
         int | None, typer.Option(min=0, help="Seed of all random numbers; default: the experiment's.")
     ] = None,
-    workers: Pool = None,
+    workers: Workers = None,
 ) -> None:
     """Fly scenarios × estimators × seeds in closed loop, and report which estimator is best.
 
@@ -161,17 +161,11 @@ def bench(
     that was stopped. If a cell cannot run, results.csv has the reason; the exit code is 2 only if no cell
     ran. flights.parquet has a row for each flight, with its level of each varied condition.
 
-    To use several machines, install quadsim[cluster] on each. Start `dask scheduler` on one of them, then
-    `dask worker tcp://HOST:8786 --nworkers auto --nthreads 1` on each, and pass `--workers tcp://HOST:8786`.
-    The workers read weights and files, so the same paths must exist on every machine.
-
     Example: quadsim bench --scenario hover --scenario wind-gust --estimator att-snn-loihi --estimator mahony
 
     Example: quadsim bench --scenario step --estimator eskf --controller cascaded --controller mine.py:make
 
     Example: quadsim bench --experiment axes --estimator truth --estimator imm --out reports/axes
-
-    Example: quadsim bench --workers tcp://127.0.0.1:8786 --seeds 100
 
     Example: quadsim bench --task attitude-1 --estimator mine.py:Mine --out reports/attitude-1
     """

@@ -29,14 +29,6 @@ LearningSeed = Annotated[
     typer.Option(min=0, callback=_unreserved, help="Seed of all random numbers; held-out seeds are refused."),
 ]
 Workers = Annotated[int | None, typer.Option(min=1, help="Number of worker processes; default: one per CPU.")]
-Pool = Annotated[
-    str | None,
-    typer.Option(
-        "--workers",
-        metavar="N|ADDRESS",
-        help="Number of worker processes (default: one per CPU), or a Dask scheduler, tcp://HOST:8786.",
-    ),
-]
 ConditionFields = Annotated[
     list[str] | None,
     typer.Option(

@@ -107,8 +107,7 @@ Arm: TypeAlias = tuple[_ArmPart, _ArmPart, _ArmPart]
 Size: TypeAlias = Annotated[float, Between(1e-3, 5.0, "m")]
 
 Speed: TypeAlias = Annotated[float, Between(0.0, 100.0, "m/s")]
-WIND = Between(-100.0, 100.0, "m/s")
-_WindPart: TypeAlias = Annotated[float, WIND]
+_WindPart: TypeAlias = Annotated[float, Between(-100.0, 100.0, "m/s")]
 Wind: TypeAlias = tuple[_WindPart, _WindPart, _WindPart]
 """Faster air is met in a tornado; no quadrotor flies there."""
 

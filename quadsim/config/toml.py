@@ -16,6 +16,9 @@ from pydantic_core import ErrorDetails
 
 from ..runs.fingerprint import ASSETS, ROOT
 
+LARGEST = 1_000_000
+"""Largest TOML file that makes sense [bytes]."""
+
 
 class Strict(BaseModel):
     """Parent of every configuration model: frozen, finite numbers only, no unknown keys."""
@@ -70,15 +73,14 @@ def _located(value: Any, folder: Path, key: str = "") -> Any:
     """A file's tables with the relative paths in them taken from its folder.
 
     Paths are texts in the keys `vehicle`, `imu` and `external`, unless they are names of presets, and in the
-    keys `path` and `function`.
+    key `function`.
     """
     if isinstance(value, dict):
         return {name: _located(inner, folder, name) for name, inner in value.items()}
     if isinstance(value, list):
         return [_located(inner, folder) for inner in value]
     if isinstance(value, str) and (
-        key == "path"
-        or (key == "function" and ".py:" in value)
+        (key == "function" and ".py:" in value)
         or (key in ("vehicle", "imu", "external") and not _is_preset(value))
     ):
         return str(folder / Path(value).expanduser())
@@ -91,23 +93,21 @@ def _is_preset(source: str | Path) -> bool:
     return not (isinstance(source, Path) or path.suffix == ".toml" or len(path.parts) > 1)
 
 
-def read_text(path: Path, label: str = "", most_mb: float = 1.0) -> str:
+def read_text(path: Path, label: str) -> str:
     """Text of a user's file in UTF-8.
 
     Args:
         path: The file.
-        label: What to call it in an error; the path if left out.
-        most_mb: Largest size that makes sense for it [MB].
+        label: What to call it in an error.
 
     Raises:
         ValueError: One line: it is not a plain file, too large, not text, or cannot be read.
     """
-    label = label or str(path)
     try:
         if path.exists() and not path.is_file():
             raise ValueError(f"{label}: is not a plain file")
-        if (size := path.stat().st_size) > most_mb * 1e6:
-            raise ValueError(f"{label}: {size / 1e6:.0f} MB; at most {most_mb:g} MB are read")
+        if (size := path.stat().st_size) > LARGEST:
+            raise ValueError(f"{label}: {size / 1e6:.0f} MB; at most {LARGEST / 1e6:g} MB are read")
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise ValueError(

@@ -232,16 +232,6 @@ def actuate(m, c, action):
     _allocate(c, c.mass * max(action[3], 0.0), _torque(c, m.gyro))
 
 
-@njit(cache=True)
-def follow_attitude(m, set_point, c):
-    """The inner levels alone, to `ang_acc_cmd` of the record, for what `attitude_set_point` gives, (4,)."""
-    q = from_euler_core(m.roll_pitch[0], m.roll_pitch[1], m.yaw)
-    w = from_euler_core(set_point[0], set_point[1], m.yaw)
-    axis = rotate_core(w[0], w[1], w[2], w[3], 0.0, 0.0, 1.0)
-    p, r, _ = _attitude_stage(c.gains, q, axis, 0.0)
-    _rate_stage(c, m.gyro, (p, r, set_point[2]))
-
-
 class Controller:
     """The cascade for n vehicles of one type, with its integrators.
 

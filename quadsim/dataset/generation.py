@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from concurrent.futures import Executor
 from contextlib import closing
 from importlib.metadata import version
 from pathlib import Path
@@ -35,7 +34,6 @@ def generate(
     seed: int = 0,
     rate_hz: float = 200.0,
     workers: int | None = None,
-    executor: Executor | None = None,
     progress: Progress = lambda done, total: None,
     overwrite: bool = False,
     held_out: bool = False,
@@ -54,10 +52,7 @@ def generate(
         out: Path of the dataset; grows as `out.partial` until it is whole.
         seed: Seed of everything random.
         rate_hz: Samples per second.
-        workers: Processes; 1 stays in this process. By default one for each CPU, but 1 for few samples. With
-            an executor, how many workers it has.
-        executor: Where to run in place of processes of our own, for instance a Dask client's
-            `get_executor()`; its workers need quadsim and the same file system.
+        workers: Processes; 1 stays in this process. By default one for each CPU, but 1 for few samples.
         progress: Called with the flights done and their total at the start and after each batch.
         overwrite: Replace another dataset at `out`, finished or not.
         held_out: Take a seed of a held-out suite, for a benchmark: training and tuning refuse such a dataset.
@@ -70,14 +65,14 @@ def generate(
         OSError: The dataset cannot be written, or a worker died; finished flights stay.
     """
     plan = _plan(config, flights, duration_s, seed if held_out else unreserved(seed), rate_hz)
-    if workers is None and plan.flights * plan.steps < WORTH_A_PROCESS and executor is None:
+    if workers is None and plan.flights * plan.steps < WORTH_A_PROCESS:
         workers = 1
     workers = process_count(workers, plan.flights)
     out = Path(out).expanduser().absolute()
     try:
         with alone(out):
             if _make_way(plan, out, overwrite):
-                _fly_all(plan, partial_folder(out), workers, executor, progress)
+                _fly_all(plan, partial_folder(out), workers, progress)
                 dataset_store.finish(partial_folder(out), plan, out)
     except ChildProcessError:
         raise
@@ -136,14 +131,14 @@ def _refuse_other(plan: Plan, other: dict[str, object], what: str) -> None:
             )
 
 
-def _fly_all(plan: Plan, folder: Path, workers: int, executor: Executor | None, progress: Progress) -> None:
+def _fly_all(plan: Plan, folder: Path, workers: int, progress: Progress) -> None:
     """Fly what is missing."""
     whole = dataset_store.whole_flights(folder)
     missing = [flight for flight in range(plan.flights) if flight not in whole]
     batches = {batch[0]: (plan, folder, batch) for batch in _batches(missing, plan.steps, workers)}
     done = plan.flights - len(missing)
     progress(done, plan.flights)
-    with closing(run_jobs(dataset_store.fly_batch, batches, workers, executor)) as finished:
+    with closing(run_jobs(dataset_store.fly_batch, batches, workers)) as finished:
         for _, batch in finished:
             done += len(batch)
             progress(done, plan.flights)

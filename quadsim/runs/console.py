@@ -1,9 +1,7 @@
-"""What long work shows on a terminal, and where it runs."""
+"""What is printed on a terminal, and what long work shows there."""
 
-import logging
 import sys
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import Executor
 from contextlib import contextmanager
 from typing import Protocol
 
@@ -72,31 +70,3 @@ def progress_bar(title: str, unit: str) -> Iterator[Bar]:
                 bar.live.transient = True
                 bar.remove_task(task)
             raise
-
-
-@contextmanager
-def pool_of(workers: str | None) -> Iterator[tuple[int | None, Executor | None]]:
-    """Processes of our own, or the executor of a Dask cluster.
-
-    Args:
-        workers: Number of processes, None for one per CPU, or the address of a Dask scheduler.
-
-    Yields:
-        Number of processes and executor, of which one is None.
-    """
-    if workers is None or ":" not in workers:
-        if workers is not None and not (workers.isdecimal() and int(workers)):
-            raise ValueError(f"--workers {workers}: a number of processes or the address of a Dask scheduler")
-        yield None if workers is None else int(workers), None
-        return
-    from distributed import Client
-
-    for name in ("distributed", *logging.root.manager.loggerDict):
-        if name.startswith("distributed"):  # a lost cluster is one line, ours
-            logging.getLogger(name).setLevel(logging.CRITICAL)
-    try:
-        client = Client(workers, timeout="10s")
-    except (OSError, ValueError) as error:
-        raise ValueError(f"no Dask scheduler answers at {workers}: {error}") from None
-    with client:
-        yield None, client.get_executor()

@@ -1,4 +1,4 @@
-"""Jobs in worker processes that end with their parent, or on any other executor: the one loop that waits."""
+"""Jobs in worker processes that end with their parent: the one loop that waits."""
 
 import multiprocessing
 import os
@@ -6,7 +6,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Generator, Iterator, Mapping
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
 from concurrent.futures import wait as wait_for
 from contextlib import closing, contextmanager
 from multiprocessing.connection import wait
@@ -18,7 +18,6 @@ from .files import write_whole
 if TYPE_CHECKING:
     from pydantic import TypeAdapter
 
-CLUSTER_LOST = "the cluster was lost; finished work stays: give the same command again"
 WORKER_DIED = "a worker process died (out of memory, or killed); finished work stays: rerun to go on"
 UNGUARDED = (
     "worker processes read the script that starts them: put its calls under if __name__ == '__main__':, or "
@@ -33,14 +32,13 @@ def run_jobs(
     function: Callable[..., Result],
     jobs: Mapping[Key, tuple],
     workers: int | None = None,
-    executor: Executor | None = None,
 ) -> Generator[tuple[Key, Result]]:
     """As `run_all`, but ends with the first job that fails.
 
     Raises:
-        ChildProcessError: A worker process died at the same job twice, or the executor's cluster was lost.
+        ChildProcessError: A worker process died at the same job twice.
     """
-    with closing(run_all(function, jobs, workers, executor)) as results:
+    with closing(run_all(function, jobs, workers)) as results:
         for key, result in results:
             if isinstance(result, BrokenExecutor):
                 raise ChildProcessError(WORKER_DIED) from result
@@ -53,7 +51,6 @@ def run_all(
     function: Callable[..., Result],
     jobs: Mapping[Key, tuple],
     workers: int | None = None,
-    executor: Executor | None = None,
     *,
     apart: bool = False,
 ) -> Generator[tuple[Key, Result | BaseException]]:
@@ -66,16 +63,12 @@ def run_all(
         function: Called as function(*job); both must be picklable.
         jobs: Arguments by key.
         workers: Processes, by default one for each CPU; 1 stays in this process and runs the jobs in order.
-        executor: Where to run in place of processes of our own.
         apart: Whether even one worker is a process of its own, for code that may end it.
 
     Yields:
         The key of each job with its result as they end; in place of a result, the exception of a worker.
     """
     workers = process_count(workers, len(jobs))
-    if executor is not None:
-        yield from _submit(executor, function, jobs)
-        return
     if workers == 1 and not apart:
         for key, job in jobs.items():
             yield key, function(*job)
@@ -99,7 +92,6 @@ def run_stored(
     jobs: Mapping[Path, tuple],
     form: "TypeAdapter[Result]",
     workers: int | None = None,
-    executor: Executor | None = None,
     *,
     keep: Callable[[Result], bool] = lambda result: True,
     apart: bool = False,
@@ -116,28 +108,21 @@ def run_stored(
             missing[file] = job
         else:
             yield file, stored
-    for file, result in run_all(function, missing, workers, executor, apart=apart):
+    for file, result in run_all(function, missing, workers, apart=apart):
         if not isinstance(result, BaseException) and keep(result):
             write_whole(file, form.dump_json(result))
         yield file, result
 
 
 def _submit(
-    executor: Executor, function: Callable[..., Result], jobs: Mapping[Key, tuple]
+    pool: ProcessPoolExecutor, function: Callable[..., Result], jobs: Mapping[Key, tuple]
 ) -> Iterator[tuple[Key, Result | BaseException]]:
-    """Run jobs on an executor; yields the exception in place of the result where a job failed."""
-    running = {executor.submit(function, *job): key for key, job in jobs.items()}
-    try:
-        while running:
-            for future in wait_for(running, return_when="FIRST_COMPLETED").done:
-                error = future.exception()
-                yield running.pop(future), future.result() if error is None else error
-    except CancelledError as error:
-        raise ChildProcessError(CLUSTER_LOST) from error
-    finally:
-        if not isinstance(executor, ProcessPoolExecutor):  # which continues without us
-            for future in running:
-                future.cancel()
+    """Run jobs in a pool; yields the exception in place of the result where a job failed."""
+    running = {pool.submit(function, *job): key for key, job in jobs.items()}
+    while running:
+        for future in wait_for(running, return_when="FIRST_COMPLETED").done:
+            error = future.exception()
+            yield running.pop(future), future.result() if error is None else error
 
 
 def process_count(workers: int | None, jobs: int) -> int:

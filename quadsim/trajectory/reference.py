@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..config.ranges import COORDINATE
-from ..config.series import read_series
 from ..control.records import SET_POINT
 from ..own import load_own
 from .manoeuvres import fly_segments, mix_segments, rest_to_rest, turns
@@ -17,7 +16,6 @@ from .specs import (
     Mix,
     Move,
     OwnFunction,
-    SetPointFile,
     Step,
     Trajectory,
     Waypoints,
@@ -42,7 +40,7 @@ def reference(spec: Trajectory, steps: int, rate_hz: float, seeds: Seeds) -> Set
         (n, steps) records of `SET_POINT`, read-only.
 
     Raises:
-        ValueError: If a set-point file is missing or malformed, or a user's function fails.
+        ValueError: If a user's function fails.
     """
     time = np.arange(steps) / rate_hz
     drawn = isinstance(spec, Mix) or (isinstance(spec, Waypoints) and not spec.points)
@@ -52,7 +50,7 @@ def reference(spec: Trajectory, steps: int, rate_hz: float, seeds: Seeds) -> Set
 
 def _path(spec: Trajectory, time: Array, rng: np.random.Generator) -> SetPoints:
     out = np.zeros(time.size, SET_POINT)
-    if not isinstance(spec, SetPointFile | OwnFunction):
+    if not isinstance(spec, OwnFunction):
         out["position"] = spec.position
     match spec:
         case Hover():
@@ -75,9 +73,6 @@ def _path(spec: Trajectory, time: Array, rng: np.random.Generator) -> SetPoints:
         case Mix():
             segments = mix_segments(spec, time[-1], rng)
             fly_segments(segments, turns(spec.max_yaw_rate, time[-1], rng), time, out)
-        case SetPointFile():
-            clock, *points, yaw = read_series(spec.path, COORDINATE, "yaw").T
-            out = _splined(clock, np.column_stack(points), yaw, time)
         case OwnFunction():
             out = _from_function(spec.function, time)
     return out
@@ -118,7 +113,9 @@ def _minimum_snap(points: Array, speed: float, time: Array) -> SetPoints:
 
 
 def _from_function(name: str, time: Array) -> SetPoints:
-    """Set-points of a user's function."""
+    """Set-points of a user's function, on a cubic spline that is at rest at both ends."""
+    from scipy.interpolate import CubicSpline
+
     fly = load_own(name)
     try:
         made = np.asarray(fly(time.copy()), np.float64)
@@ -134,23 +131,11 @@ def _from_function(name: str, time: Array) -> SetPoints:
     for axis, values in zip("xyz", made.T, strict=False):
         COORDINATE.of(f"trajectory {name}: {axis}", values[np.argmax(np.abs(values))])
     yaw = made[:, 3] if made.shape[1] == 4 else np.zeros(time.size)
-    if time.size > 1:
-        return _splined(time, made[:, :3], yaw, time)
     out = np.zeros(time.size, SET_POINT)
     out["position"] = made[:, :3]
-    return out
-
-
-def _splined(clock: Array, points: Array, yaw: Array, time: Array) -> SetPoints:
-    """Set-points on a cubic spline, at rest at both ends."""
-    from scipy.interpolate import CubicSpline
-
-    at = np.clip(time, clock[0], clock[-1])
-    curve = CubicSpline(clock, np.column_stack([points, np.unwrap(yaw)]), bc_type="clamped")
-    out = np.zeros(time.size, SET_POINT)
-    for order, name in enumerate(DERIVATIVES):
-        out[name] = curve(at, order)[:, :3]
-    out["yaw"], out["yaw_rate"] = curve(at)[:, 3], curve(at, 1)[:, 3]
-    for name in ("velocity", "acceleration", "yaw_rate"):
-        out[name][time > clock[-1]] = 0.0
+    if time.size > 1:
+        curve = CubicSpline(time, np.column_stack([made[:, :3], np.unwrap(yaw)]), bc_type="clamped")
+        for order, derivative in enumerate(DERIVATIVES):
+            out[derivative] = curve(time, order)[:, :3]
+        out["yaw"], out["yaw_rate"] = curve(time)[:, 3], curve(time, 1)[:, 3]
     return out

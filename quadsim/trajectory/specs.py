@@ -136,13 +136,6 @@ class Mix(Strict):
         return self
 
 
-class SetPointFile(Strict):
-    """A user's set-points: CSV with columns t, x, y, z and optionally yaw [s, m, rad]; splined between."""
-
-    kind: Literal["file"] = "file"
-    path: str = Field(description="The CSV file.")
-
-
 class OwnFunction(Strict):
     """A user's function of time, splined between the samples for velocity and acceleration.
 
@@ -154,6 +147,6 @@ class OwnFunction(Strict):
 
 
 Trajectory = Annotated[
-    Hover | Step | Move | Lissajous | Waypoints | Mix | SetPointFile | OwnFunction,
+    Hover | Step | Move | Lissajous | Waypoints | Mix | OwnFunction,
     Field(discriminator="kind"),
 ]

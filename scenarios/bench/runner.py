@@ -2,7 +2,6 @@
 
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +44,6 @@ def bench(
     *,
     experiment: Experiment = SUITE,
     workers: int | None = None,
-    executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Results:
     """Fly every scenario with every estimator and the same seeds; write `flights.parquet` and `results.csv`.
@@ -62,8 +60,6 @@ def bench(
         changes: Fields that replace those of every scenario.
         experiment: Conditions around the scenarios, and sweeps; by default there are none.
         workers: Processes, by default one for each CPU; 1 stays in this process.
-        executor: Where to run in place of processes of our own, for instance a Dask client's
-            `get_executor()`.
         progress: Called with the cells done and their total at the start and after each cell.
 
     Raises:
@@ -86,9 +82,7 @@ def bench(
         out.mkdir(parents=True, exist_ok=True)
         progress(0, len(jobs))
         todo = {file: (*job, settings) for file, job in zip(files, jobs, strict=True)}
-        for file, cell in run_stored(
-            fly_cell, todo, CELL, workers, executor, keep=lambda cell: not cell.reason
-        ):
+        for file, cell in run_stored(fly_cell, todo, CELL, workers, keep=lambda cell: not cell.reason):
             if isinstance(cell, BaseException):  # the worker itself died
                 cell = Cell(todo[file][0], todo[file][2], f"{type(cell).__name__}: {cell}")
             if cell.reason and (cell.estimator, cell.reason) not in said:  # once for all scenarios
@@ -103,7 +97,7 @@ def bench(
 
 
 def files_of(scenario: Scenario, contender: str) -> list[str | Path]:
-    """What a cell reads besides presets: weights, a user's code, set-points, wind."""
+    """What a cell reads besides presets: weights and a user's code."""
     name, controller = estimator_of(contender), controller_of(contender)
     found: list[str | Path] = [name] if is_weights(name) else [*own_sources(name)]
     if is_controller(controller):
@@ -111,7 +105,6 @@ def files_of(scenario: Scenario, contender: str) -> list[str | Path]:
         found += [path] if path.endswith(END) else []
     elif is_own(controller, GROUP):
         found += own_files(controller, GROUP)
-    found += [part.path for part in (scenario.trajectory, *scenario.wind) if part.kind == "file"]
     if scenario.trajectory.kind == "function":
         found += own_files(scenario.trajectory.function)
     return found

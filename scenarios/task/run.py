@@ -1,7 +1,6 @@
 """Run a task for entries, and write the file of each; a run that was stopped goes on where it was."""
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor
 from dataclasses import asdict, fields
 from functools import partial
 from pathlib import Path
@@ -38,7 +37,6 @@ def run_task(
     *,
     recordings: Path | None = None,
     workers: int | None = None,
-    executor: Executor | None = None,
     progress: Bar = lambda done, total, note="": None,
 ) -> list[Entry]:
     """Run a task for entries; each has a folder with its `entry.json`.
@@ -49,7 +47,6 @@ def run_task(
         out: Folder for all of them, and for the data.
         recordings: Folder of BROAD, as its authors publish it; None: that part is left out.
         workers: Processes, by default one for each CPU.
-        executor: Where to run in place of processes of our own.
         progress: A bar.
 
     Raises:
@@ -64,7 +61,7 @@ def run_task(
         digests = make_data(task, out / "data", recordings, workers, progress)
         code = fingerprint(flight_code(), code_digest("scenarios.task.run"))
         about = {"version": task.version, "task": task.fingerprint, "code": code, "data": digests}
-        return [_run_entry(task, card, out, about, workers, executor, progress) for card in cards]
+        return [_run_entry(task, card, out, about, workers, progress) for card in cards]
 
 
 def _run_entry(
@@ -73,7 +70,6 @@ def _run_entry(
     out: Path,
     about: Mapping[str, Any],
     workers: int | None,
-    executor: Executor | None,
     progress: Bar,
 ) -> Entry:
     """Check an entry, score it on each part of the data and fly it, and write its file."""
@@ -91,14 +87,14 @@ def _run_entry(
     files = {file_of(part): part for part in task.parts if found.runs}
     jobs = {file: (task, part, card, data) for file, part in files.items()}
     parts, flown, reasons = dict[str, PartScore](), (), list(found.reasons)
-    for file, score in run_stored(score_part, jobs, SCORE, workers, executor, apart=workers != 1):
+    for file, score in run_stored(score_part, jobs, SCORE, workers, apart=workers != 1):
         if isinstance(score, BaseException):  # the worker itself died
             score = PartScore(flaw=f"did not run: {type(score).__name__}: {score}")
         parts[files[file]] = score
         progress(len(parts), len(files), f"{card.name}, {files[file]}")
     if found.runs:
         run = partial(progress, note=f"{card.name}, closed loop")
-        flown, flaws = fly_entry(task, card, folder / "closed-loop", workers, executor, run)
+        flown, flaws = fly_entry(task, card, folder / "closed-loop", workers, run)
         reasons += flaws
     parts = {part: parts[part] for part in files.values()}
     reasons += [f"{score.flaw} ({part})" for part, score in parts.items() if score.flaw]
@@ -151,15 +147,14 @@ def _errors(task: Task, card: Card, group: Group, data: Path, flaws: list[str]) 
 
 
 def fly_entry(
-    task: Task, card: Card, out: Path, workers: int | None, executor: Executor | None, progress: Any
+    task: Task, card: Card, out: Path, workers: int | None, progress: Any
 ) -> tuple[tuple[LoopFlight, ...], list[str]]:
     """The flights of an entry in closed loop, and why it must not be ranked."""
     experiment = task.experiment(card.knowledge)
     settings = FlightSettings(experiment.seeds, experiment.seed or 0, task.rate_hz)
     results = bench(
-        None, [card.source], out, settings,
-        experiment=experiment, workers=workers, executor=executor, progress=progress,
-    )  # fmt: skip
+        None, [card.source], out, settings, experiment=experiment, workers=workers, progress=progress
+    )
     names = [each.name for each in fields(LoopFlight)]
     flown = tuple(LoopFlight(**row._asdict()) for row in records(results.flights.reindex(columns=names)))
     flaws = list(dict.fromkeys(cell.flaw for cell in results.cells if cell.flaw))

@@ -84,7 +84,7 @@ def test_everything_that_ships_can_be_listed_with_a_sentence(printed):
         ("generate --out /proc/x.zarr --flights 1 --duration 1", "/proc/x.zarr"),
         ("generate --out x.zarr --set vehicel=x", 'did you mean "vehicle"'),
         ("generate --out x.zarr --set rate=3", "50 to 2000 Hz"),
-        ("generate --out x.zarr --workers many", "number of processes"),
+        ("generate --out x.zarr --workers many", "should be a valid integer"),
         ("report missing.zarr", "missing.zarr"),
         ("report missing.zarr --verify", "missing.zarr"),
         ("report missing.zarr --data x.zarr", "--data is not for a dataset"),

@@ -104,7 +104,7 @@ def test_what_cannot_be_read_is_named(tmp_path, monkeypatch, source, message):
     with pytest.raises(ValueError, match=message):
         load_toml(Path(source) if source == "." else source, "imus", Robot)
     with pytest.raises(ValueError, match="not a plain file"):
-        read_text(Path("/dev/zero"))
+        read_text(Path("/dev/zero"), "zero")
 
 
 def test_file_in_the_working_directory_needs_its_suffix(tmp_path, monkeypatch):

@@ -4,8 +4,9 @@ import os
 import subprocess
 import sys
 import time
-from concurrent.futures import BrokenExecutor, Executor, Future
+from concurrent.futures import BrokenExecutor
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import psutil
@@ -19,32 +20,27 @@ from quadsim.dataset.reading import dataset_info, open_dataset, verify
 from quadsim.dataset.store import VARIABLES, partial_folder
 from quadsim.flight.recipe import Recipe
 from quadsim.flight.simulate import simulate_flights
+from quadsim.runs import pool
 
 
 def digests(path: Path) -> list[str]:
     return json.loads((path / dataset_store.DIGESTS).read_text())["content"]["flights"]
 
 
-class Inline(Executor):
-    """Runs tasks at once, and fails in one of them."""
-
-    def __init__(self, failing: int, error: Exception) -> None:
-        self.tasks, self.failing, self.error = 0, failing, error
-
-    def submit(self, fn, /, *args, **kwargs):
-        future = Future()
-        self.tasks += 1
-        if self.tasks == self.failing:
-            future.set_exception(self.error)
-        else:
-            future.set_result(fn(*args, **kwargs))
-        return future
-
-
 def interrupted(out: Path) -> Path:
-    executor = Inline(5, OSError(errno.ENOSPC, "No space left on device"))
-    with pytest.raises(OSError, match=r"cannot write .*No space left on device.* stay"):
-        generate(CONFIG, FLIGHTS, DURATION, out, workers=7, executor=executor)
+    """A dataset whose generation failed at flight 4."""
+
+    def fly(plan, folder, flights):
+        if flights == [4]:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return dataset_store.fly_batch(plan, folder, flights)
+
+    stubbed = SimpleNamespace(**vars(dataset_store) | {"fly_batch": fly})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(dataset, "BATCH_FLIGHTS", 1)
+        patch.setattr(dataset, "dataset_store", stubbed)
+        with pytest.raises(OSError, match=r"cannot write .*No space left on device.* stay"):
+            generate(CONFIG, FLIGHTS, DURATION, out, workers=1)
     return out
 
 
@@ -77,14 +73,6 @@ def test_bytes_do_not_depend_on_the_batches(finished, tmp_path, monkeypatch):
     assert files(generate(CONFIG, FLIGHTS, DURATION, tmp_path / "x.zarr", workers=1)) == files(finished)
 
 
-def test_a_dask_cluster_is_an_executor_too(finished, tmp_path):
-    distributed = pytest.importorskip("distributed")
-    with distributed.Client(processes=False, n_workers=1, dashboard_address=None) as client:
-        executor = client.get_executor()
-        out = generate(CONFIG, FLIGHTS, DURATION, tmp_path / "x.zarr", workers=2, executor=executor)
-    assert files(out) == files(finished)
-
-
 def test_a_larger_dataset_begins_with_the_same_flights_and_another_seed_gives_others(finished, tmp_path):
     larger = generate(CONFIG, FLIGHTS + 1, DURATION, tmp_path / "y.zarr", workers=1)
     assert digests(larger)[:FLIGHTS] == digests(finished)
@@ -102,8 +90,8 @@ def test_a_rerun_flies_only_what_is_missing(finished, tmp_path, monkeypatch):
 
     monkeypatch.setattr(dataset_store, "simulate_flights", counting)
     generate(CONFIG, FLIGHTS, DURATION, out, workers=1, progress=lambda *done: progress.append(done))
-    assert flown == [4]
-    assert progress == [(6, 7), (7, 7)]
+    assert flown == [4, 5, 6]
+    assert progress == [(4, 7), (7, 7)]
     assert files(out) == files(finished)
     assert not partial_folder(out).exists()
 
@@ -114,7 +102,7 @@ def test_a_flight_whose_file_was_cut_short_is_flown_again(finished, tmp_path):
     flights = partial_folder(out) / "flights"
     (flights / "00003.json").write_text("{")
     (flights / ".00005.1.part.json").write_text("{")  # what a killed worker left half written
-    with pytest.raises(ValueError, match="4 of 7"):
+    with pytest.raises(ValueError, match="2 of 7"):
         open_dataset(out)
     assert files(generate(CONFIG, FLIGHTS, DURATION, out, workers=1)) == files(finished)
 
@@ -156,10 +144,10 @@ dataset.generate(Recipe.model_validate_json(sys.argv[2]), 40, 1.0, sys.argv[1], 
     assert files(out) == files(whole)
 
 
-def test_a_worker_that_dies_is_one_clear_error(tmp_path):
-    out, executor = tmp_path / "x.zarr", Inline(5, BrokenExecutor())
+def test_a_worker_that_dies_is_one_clear_error(tmp_path, monkeypatch):
+    monkeypatch.setattr(pool, "run_all", lambda *_: (each for each in [(0, BrokenExecutor())]))
     with pytest.raises(ChildProcessError, match=r"a worker process died .*; finished work stays"):
-        generate(CONFIG, FLIGHTS, DURATION, out, workers=7, executor=executor)
+        generate(CONFIG, FLIGHTS, DURATION, tmp_path / "x.zarr", workers=7)
 
 
 def test_another_dataset_is_not_continued_nor_replaced(own, tmp_path):

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from quadsim.trajectory.reference import reference
-from quadsim.trajectory.specs import Lissajous, Mix, Move, OwnFunction, SetPointFile, Step, Waypoints
+from quadsim.trajectory.specs import Lissajous, Mix, Move, OwnFunction, Step, Waypoints
 from quadsim.vehicle import GRAVITY
 
 RATE = 200.0
@@ -81,34 +81,6 @@ def test_step_goes_there_and_back():
     assert path["position"][int(0.9 * RATE), 0] == 0
     assert path["position"][int(2.0 * RATE), 0] == 2
     assert path["position"][int(4.5 * RATE), 0] == 0
-
-
-def test_set_points_from_a_file_are_passed_through(tmp_path):
-    path = tmp_path / "points.csv"
-    path.write_text("t,x,y,z,yaw\n0,0,0,2,0\n2,1,0,2,0.5\n4,1,2,3,0\n")
-    flown = fly(SetPointFile(path=str(path)), seconds=6)[0]
-    assert flown["position"][int(2 * RATE)] == pytest.approx([1, 0, 2])
-    assert flown["yaw"][int(2 * RATE)] == pytest.approx(0.5)
-    assert flown["position"][-1] == pytest.approx([1, 2, 3])
-    assert not flown["velocity"][-1].any()
-    assert not flown["acceleration"][-1].any()
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "x,y,z\n1,2,3\n",
-        "t,x,y,z,yaw,yaw\n0,0,0,0,1,2\n1,0,0,0,1,2\n",
-        "t,x,y,z\n0,0,0,0\n",
-        "t,x,y,z,yaw\n0,0,0,0,a\n1,0,0,0,0\n",
-        "",
-    ],
-)
-def test_a_wrong_set_point_file_is_named(tmp_path, text):
-    path = tmp_path / "points.csv"
-    path.write_text(text)
-    with pytest.raises(ValueError, match=r"points\.csv"):
-        fly(SetPointFile(path=str(path)))
 
 
 @settings(max_examples=25, deadline=None)

@@ -10,7 +10,6 @@ from quadsim.wind import (
     Dryden,
     Gust,
     Sinusoid,
-    WindRecording,
     _turbulence,
     dryden,
     dryden_scales,
@@ -121,38 +120,6 @@ def test_seed_sequences_choose_the_vehicles():
     assert np.array_equal(series[1:], wind_series(SPECS, 2, 10, 200.0, seed=parents[1:]))
     assert np.array_equal(series[:1], wind_series(SPECS, 1, 10, 200.0, seed=8))
     assert not np.array_equal(series[0], series[1])
-
-
-def test_recording_is_interpolated_and_held_at_its_ends(tmp_path):
-    path = tmp_path / "wind.csv"
-    path.write_text("\nt , x , y, z\n1,0,0,0\n2,4,-2,1\n\n")
-    wind = wind_series([WindRecording(path=str(path))], 2, 4, 1.0, seed=0)
-    assert wind[0].tolist() == [[0, 0, 0], [0, 0, 0], [4, -2, 1], [4, -2, 1]]
-    assert np.array_equal(wind[0], wind[1])
-    assert wind_series([WindRecording(path=str(path))], 1, 4, 2.0, seed=0)[0, 3].tolist() == [2.0, -1.0, 0.5]
-
-
-@pytest.mark.parametrize(
-    ("text", "reason"),
-    [
-        ("", 'the header is ""; it should have each of t, x, y, z once'),
-        ("T;x,y,z\n0,0,0,0\n1,0,0,0\n", 'the header is "T;x,y,z"'),
-        ("t,x,y,z,x\n0,0,0,0,5\n1,0,0,0,6\n", "once"),
-        ("t,x,y,z\n0,0,5,0,0,0,0\n1,0,5,0,0,0,0\n", "line 2: .* no more cells than the header"),
-        ("\n\nt,x,y,z\n0,0,0,0\n1,0,0\n", "line 5"),
-        ("t,x,y,z\n0,0,0,0\n", "1 rows"),
-        ("t,x,y,z\n0,0,0,0\n1,0,0\n", "line 3"),
-        ("t,x,y,z\n0,0,0,0\n1,0,0,abc\n", "line 3"),
-        ("t,x,y,z\n0,0,0,nan\n1,0,0,0\n", "line 2"),
-        ("t,x,y,z\n0,0,0,0\n1,0,-1e9,0\n", "line 3: y = -1000000000.0: should be -100 to 100 m/s"),
-        ("t,x,y,z\n0,0,0,0\n\n1,0,0,0\n1,0,0,0\n", "line 5"),
-    ],
-)
-def test_bad_recording_is_refused_with_its_line(tmp_path, text, reason):
-    path = tmp_path / "wind.csv"
-    path.write_text(text)
-    with pytest.raises(ValueError, match=rf"wind\.csv.*{reason}"):
-        WindRecording(path=str(path)).series(np.zeros(1))
 
 
 @pytest.mark.parametrize(

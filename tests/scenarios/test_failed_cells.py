@@ -1,14 +1,15 @@
 """What fails in a benchmark is a row with its reason and ends nothing else; hostile estimators never win."""
 
-from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor
 
 import pandas as pd
 import pytest
 from processes import square
 from small_bench import small
 
-from quadsim.runs.pool import run_all
+from quadsim.runs.pool import run_all, run_stored
 from scenarios.bench import cell as cell_module
+from scenarios.bench import runner
 from scenarios.bench.results import load_results
 from scenarios.bench.verdict import choice, verdict
 
@@ -40,17 +41,13 @@ def test_cell_that_fails_is_a_row_with_its_reason(tmp_path, monkeypatch, error):
     assert not any(row.reason for row in small(tmp_path).rows)  # and it is tried again
 
 
-def test_dead_worker_is_a_row_with_its_reason(tmp_path):
-    class Deadly(ThreadPoolExecutor):
-        def submit(self, fn, *args):
-            if args[2] == "truth":
-                future = Future()
-                future.set_exception(MemoryError("killed"))
-                return future
-            return super().submit(fn, *args)
+def test_dead_worker_is_a_row_with_its_reason(tmp_path, monkeypatch):
+    def run(function, jobs, *options, **choices):
+        for file, result in run_stored(function, jobs, *options, **choices):
+            yield file, MemoryError("killed") if jobs[file][2] == "truth" else result
 
-    with Deadly(1) as executor:
-        rows = small(tmp_path, executor=executor).rows
+    monkeypatch.setattr(runner, "run_stored", run)
+    rows = small(tmp_path).rows
     assert [row.reason for row in rows] == ["MemoryError: killed", ""] * 2
 
 

@@ -194,10 +194,7 @@ def test_paths_in_a_scenario_count_from_its_file(tmp_path, monkeypatch):
     (tmp_path / "airframes").mkdir()
     own = (files("assets") / "vehicles" / "px4-quad.toml").read_text()
     (tmp_path / "airframes" / "mine.toml").write_text(own)
-    (tmp_path / "wind.csv").write_text("t,x,y,z\n0,1,0,0\n9,1,0,0\n")
-    (tmp_path / "own.toml").write_text(
-        "description = 'own'\nvehicle = 'airframes/mine.toml'\n[[wind]]\nkind = 'file'\npath = 'wind.csv'\n"
-    )
+    (tmp_path / "own.toml").write_text("description = 'own'\nvehicle = 'airframes/mine.toml'\n")
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
     found = load_scenario("../own.toml")
@@ -235,6 +232,5 @@ def test_a_changed_file_that_the_users_code_imports_is_flown_anew(tmp_path, monk
     assert before.keys() - flown == {("hover", "truth")}
     mine = "hover", "est.py:Mine"
     assert after[mine].flights[0]["error_deg"] > 5 + before[mine].flights[0]["error_deg"]
-    Path("blown.toml").write_text("description = ''\n[[wind]]\nkind = 'file'\npath = 'wind.csv'\n")
-    read = runner.files_of(load_scenario("blown.toml"), "truth @ control.py:make")
-    assert [Path(path).name for path in read] == ["control.py", "helper.py", "wind.csv"]
+    read = runner.files_of(load_scenario("hover"), "truth @ control.py:make")
+    assert [Path(path).name for path in read] == ["control.py", "helper.py"]

@@ -8,7 +8,7 @@ SHORT = 0.3
 
 def small(out, scenarios=("hover", "wind-gust"), names=("truth", "mahony"), **options):
     """A benchmark; options are of `bench`, of its settings, or fields of every scenario."""
-    run = {"workers": 1} | {key: options.pop(key) for key in ("workers", "executor") if key in options}
+    workers = options.pop("workers", 1)
     of_flights = {key: options.pop(key) for key in ("seeds", "seed", "tuning") if key in options}
     return bench(
         scenarios,
@@ -16,5 +16,5 @@ def small(out, scenarios=("hover", "wind-gust"), names=("truth", "mahony"), **op
         out,
         FlightSettings(**{"seeds": 2} | of_flights),
         {"duration_s": SHORT} | options,
-        **run,
+        workers=workers,
     )
