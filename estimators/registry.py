@@ -218,8 +218,8 @@ def filter_values(
     }
     if missing := [key for key, value in values.items() if math.isnan(value)]:
         raise ValueError(
-            f"{name} needs a vehicle, for its drag: give vehicle=, a shipped name or a "
-            f"TOML file, or {' and '.join(missing)}"
+            f"{name} needs the drag of the airframe: give vehicle= (a shipped name or a TOML file), or "
+            f"{' and '.join(missing)}"
         )
     return values
 

@@ -195,7 +195,7 @@ def test_tilt_is_about_the_same_at_any_sample_rate(make_flights, name):
         (lambda: create("mahonny"), 'unknown estimator "mahonny"; did you mean "mahony"'),
         (lambda: create("mahony", kp=1.0), 'mahony has no parameter "kp"; did you mean "k_p"'),
         (lambda: create("mahony", k_p=float("nan")), "k_p = nan is not a finite number"),
-        (lambda: create("ekf-drag"), "ekf-drag needs a vehicle, for its drag"),
+        (lambda: create("ekf-drag"), "ekf-drag needs the drag of the airframe"),
         (lambda: create("ekf-drag", drag_time=4.9), "or frame_drag"),
         (lambda: create("ekf-drag", vehicle=3), "vehicle = 3: should be a name"),
         (lambda: create("ekf-drag", vehicle="hummingbrid"), 'did you mean "hummingbird"'),

@@ -42,7 +42,7 @@ def test_every_level_is_flown_equally_often_and_beside_every_other():
 
 
 def test_a_combination_is_its_scenario_with_what_the_levels_set():
-    levels = {"initial attitude": "given, 4° wrong", "motion": "4 m/s", "drag": "twice what is known"}
+    levels = {"initial attitude": "given, 4° wrong", "motion": "4 m/s", "drag": "twice the known value"}
     levels |= {"airframe": "crazyflie", "IMU": "rough, vibration, lever arm"}
     base = load_scenario("saturation")
     found = with_levels(base, levels, AXES.axes)
@@ -60,7 +60,7 @@ def test_a_designed_benchmark_flies_loads_and_has_its_levels_in_the_table(tmp_pa
     unknown = {name for name, levels in results.levels.items() if levels["drag"] == "not known"}
     failed = {(cell.scenario, cell.estimator) for cell in results.cells if cell.reason}
     assert failed == {(name, "ekf-drag") for name in unknown}
-    assert results.by_level["drag", "not known", "ekf-drag"].reason.startswith("ekf-drag needs a vehicle")
+    assert results.by_level["drag", "not known", "ekf-drag"].reason.startswith("ekf-drag needs the drag")
     assert not any(row.reason for row in results.by_level.values() if row.flights)
     assert load_results(tmp_path) == results
     table = pd.read_parquet(tmp_path / "flights.parquet")

@@ -38,7 +38,7 @@ def test_the_headline_has_a_clause_for_each_condition():
         "flights)."
     )
     at_worst = verdict(designed({"drag": [good, poor, poor, good], "imm": [good] * 4})).standings[1]
-    assert at_worst.texts["at worst"] == "drag: half of what is known, 3.05°"
+    assert at_worst.texts["at worst"] == "drag: half the known value, 3.05°"
 
 
 def test_the_headline_names_what_is_recommended_on_every_condition_with_its_crashes():
