@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..networks.forward import Spiking
-from ..networks.network import NO_SET_POINTS, BatchedNetwork, roll_pitch_of_outputs
+from ..networks.network import BatchedNetwork, roll_pitch_of_outputs
 
 Array = NDArray[np.float64]
 
@@ -27,8 +27,8 @@ class Activity:
     active: NDArray[np.int64]
     """Steps in which a neuron had anything to update: a current, a potential or a bias, (n, neurons)."""
     estimate: Array
-    """Roll and pitch after each sample, (n, T, 2) [rad]; of a controller its outputs, (n, T, 3) [rad/s²]; of
-    an imported network the output potentials (n, T, outputs)."""
+    """Roll and pitch after each sample, (n, T, 2) [rad]; of an imported network the output potentials
+    (n, T, outputs)."""
 
     @property
     def rates(self) -> Array:
@@ -46,14 +46,13 @@ class Activity:
         return values[..., edges[layer] : edges[layer + 1]]
 
 
-def record(core: Spiking, gyro: Array, accel: Array, set_points: Array | None = None) -> Activity:
+def record(core: Spiking, gyro: Array, accel: Array) -> Activity:
     """Run a spiking network from rest and record what its neurons do.
 
     Args:
         core: The network.
         gyro: Body rate (n, T, 3) [rad/s].
         accel: Specific force (n, T, 3) [m/s²].
-        set_points: Of a controller, as integer inputs (n, T, 3).
     """
     n, samples, _ = np.shape(gyro)
     network, neurons = BatchedNetwork(core), sum(core.sizes)
@@ -62,9 +61,7 @@ def record(core: Spiking, gyro: Array, accel: Array, set_points: Array | None = 
     outputs = np.empty((n, samples, core.outputs))
     for k in range(samples):
         part = slice(k, k + 1)
-        more = NO_SET_POINTS if set_points is None else set_points[:, part]
-        outputs[:, part] = network.outputs(gyro[:, part], accel[:, part], more)
+        outputs[:, part] = network.outputs(gyro[:, part], accel[:, part])
         spikes[:, k] = core.spikes(network.states)
         active += core.active(network.states)
-    estimate = roll_pitch_of_outputs(outputs) if set_points is None else outputs
-    return Activity(core.sizes, spikes, active, estimate)
+    return Activity(core.sizes, spikes, active, roll_pitch_of_outputs(outputs))

@@ -26,7 +26,7 @@ from quadsim.imu.spec import load_imu
 from quadsim.runs.files import alone, write_whole
 
 from ..custom import is_custom
-from ..evaluation.flights import Flights, Initial, imu_of, load_flights, vehicle_of
+from ..evaluation.flights import Flights, imu_of, load_flights, vehicle_of
 from ..filters.samples import squared_error
 from ..metrics import flaw_of
 from ..registry import FILTERPY, airframe_constants, create, filter_values, names, parameter_sets, parameters
@@ -163,12 +163,11 @@ def tune(
     *,
     flights: int | None = None,
     pieces: int = 1,
-    initial: Initial = "unknown",
     workers: int = 1,
     command: str = "estimators.tuning.search.tune",
     progress: Progress = lambda *_: None,
 ) -> Tuned:
-    """Tune one estimator on recorded flights.
+    """Tune one estimator on recorded flights, from an unknown start.
 
     Args:
         name: Estimator with parameters to search.
@@ -176,7 +175,6 @@ def tune(
         search: How the parameters are searched.
         flights: How many of each dataset are used; None for all.
         pieces: Parts into which each flight is cut, all of which but the first begin in motion.
-        initial: Whether the filter is given the attitude it starts at.
         workers: Threads.
         command: What to write into the result as its origin.
         progress: Called after every iteration.
@@ -196,8 +194,6 @@ def tune(
     data = upright(load_flights(datasets, flights).pieces(pieces))
     airframe = airframe_constants(name, vehicle_of(datasets[0]))
     constants = airframe | imu_constants(name, datasets[0])
-    if initial == "known":
-        data = data.known()
 
     def values(positions: Array) -> dict[str, Array]:
         sets = {key: parameters(name)[key].at(x) for key, x in zip(searched, positions.T, strict=True)}

@@ -37,15 +37,15 @@ def _note(axes: Axes, text: str, at: tuple[float, float], shift: tuple[float, fl
     axes.annotate(text, at, shift, textcoords="offset points", **style)
 
 
-def _name_rows(axes: Axes, names: Sequence[str], size: float = 8) -> None:
+def _name_rows(axes: Axes, names: Sequence[str]) -> None:
     """Name horizontal bars, the first on top."""
-    axes.set_yticks(range(len(names)), names, fontsize=size)
+    axes.set_yticks(range(len(names)), names, fontsize=8)
     axes.invert_yaxis()
     axes.grid(axis="y", visible=False)
 
 
 def fig4(numbers: Numbers) -> Figure:
-    """Training and validation loss of the four networks, epoch by epoch."""
+    """Training and validation loss of the networks, epoch by epoch."""
     figure, panels = _panels(10.2, 3.0, 1, len(CURVES), sharey=True)
     for axes, (stage, title) in zip(panels, CURVES.items(), strict=True):
         for kind, label, style in (

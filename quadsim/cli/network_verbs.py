@@ -131,9 +131,6 @@ def tune(
     pieces: Annotated[
         int, typer.Option(min=1, help="Number of parts of each flight; all but the first begin in motion.")
     ] = 1,
-    initial: Annotated[
-        Literal["unknown", "known"], typer.Option(help="Whether the filter is given its initial attitude.")
-    ] = "unknown",
     search: Annotated[
         Literal["swarm", "evolution"],
         typer.Option(help="swarm: the paper's particle swarm. evolution: SciPy's differential evolution."),
@@ -168,7 +165,6 @@ def tune(
                 SearchSettings(search, particles, iterations, seed),
                 flights=flights,
                 pieces=pieces,
-                initial=initial,
                 workers=process_count(None, particles),
                 command=command_line(),
                 progress=progress,

@@ -8,10 +8,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from estimators import create, names
-from estimators.analysis.activity import record
 from estimators.control import SpikingController, create_controller
 from estimators.control.controller import THRUST_MAX, follow, gravity_of
-from estimators.networks.forward import OnLoihi
 from estimators.networks.network import silenced
 from estimators.networks.weights_file import NetworkConfig, save_network, shipped_controllers, shipped_names
 from quadsim.vehicle import GRAVITY
@@ -65,17 +63,6 @@ def test_an_attitude_stands_for_the_accelerometer(file):
 def test_gravity_of_an_attitude_is_the_specific_force_at_rest(roll, pitch):
     wanted = Rotation.from_euler("ZYX", [0.7, pitch, roll]).inv().apply([0.0, 0.0, GRAVITY])
     np.testing.assert_allclose(gravity_of([roll, pitch]), wanted, atol=1e-12)
-
-
-def test_activity_on_the_chip_ends_with_the_outputs_of_the_controller():
-    wanted, gyro, accel = readings(2, 40)
-    activity = record(
-        OnLoihi(CONFIG, random_snn(CONFIG)), gyro, accel, follow(CONFIG.set_point, wanted).inputs
-    )
-    plain = SpikingController(CONFIG, random_snn(CONFIG))
-    plain.reset(2)
-    out = plain.sequence(wanted, gyro, accel)[..., :3]
-    assert np.array_equal(np.clip(activity.estimate, -30.0, 30.0), out)
 
 
 def outputs_of(*signals):
