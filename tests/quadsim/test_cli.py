@@ -125,11 +125,11 @@ def test_a_mistake_is_one_clear_line_and_exit_code_2_and_leaves_nothing(refused,
 
 
 def test_tuning_writes_the_whole_command_and_evaluation_reads_the_values(printed, refused, dataset, tmp_path):
-    options = ["--particles", 3, "--iterations", 2, "--flights", 1, "--initial", "known", "--seed", 5]
+    options = ["--particles", 3, "--iterations", 2, "--flights", 1, "--seed", 5]
     tune = ["tune", "--data", dataset, "--out", "mine.toml", "--estimator"]
     assert "madgwick" in printed(*tune, "madgwick", *options)
     text = (tmp_path / "mine.toml").read_text()
-    assert "--particles 3 --iterations 2 --flights 1 --initial known --seed 5" in text
+    assert "--particles 3 --iterations 2 --flights 1 --seed 5" in text
     refused(*tune, "truth")
     given = ["--data", dataset, "--estimator", "madgwick", "--set", f"tuning={tmp_path / 'mine.toml'}"]
     out = printed("evaluate", *given, "--out", tmp_path / "scores")
