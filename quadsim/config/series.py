@@ -13,15 +13,15 @@ COLUMNS = ("t", "x", "y", "z")
 
 
 def read_series(path: str | Path, within: Between, optional: str = "") -> NDArray[np.float64]:
-    """Rows t, x, y, z (T, 4) of a CSV file with a header, or (T, 5) with an optional column.
+    """Read columns t, x, y, z of a CSV file with a header, (T, 4), or (T, 5) with an optional column.
 
     Args:
-        path: The file; columns beside these are passed over.
-        within: Range of x, y and z, in their unit; t is in s and rises.
-        optional: A further column, zero where it is left out.
+        path: The file. Other columns are ignored.
+        within: Range of x, y and z, with their unit. The time t must increase [s].
+        optional: Name of a fifth column, which is zero if the file lacks it.
 
     Raises:
-        ValueError: The file or one of its rows is not as described; the line is named.
+        ValueError: The file or a row is invalid; the message names the line.
     """
     rows: list[list[float]] = []
     lines: list[int] = []

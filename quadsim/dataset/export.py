@@ -1,7 +1,7 @@
 """Datasets in the formats of other tools: NetCDF, Parquet, Hugging Face, EuRoC (ASL) folders, and ROS 2 bags.
 
-Only the samples before a flight's end are exported, except to NetCDF, which holds the whole dataset. Time
-counts from the start of each flight. What no log of a recorded dataset holds is NaN.
+Only samples before the end of a flight are exported, except to NetCDF, which holds the whole dataset. Time
+starts at the beginning of each flight. Quantities that were not recorded are NaN.
 """
 
 import json
@@ -63,7 +63,7 @@ The recipe of the flights, as JSON:
 {config}
 ```
 """
-"""Card of a Hugging Face dataset."""
+"""Template of the card of a Hugging Face dataset."""
 TRUTH = ("position", "quat", "velocity", "gyro_bias", "accel_bias")
 
 
@@ -74,16 +74,16 @@ def export(
 
     Args:
         path: A dataset.
-        out: The file (netcdf, parquet) or folder (csv, rosbag2) to write; must not exist.
+        out: The file (netcdf, parquet) or folder (huggingface, csv, rosbag2) to write. It must not exist.
         format: One of FORMATS: "netcdf", "parquet", "huggingface" (a folder of Parquet with its card), "csv"
             (EuRoC layout) or "rosbag2".
-        progress: Called with the flights written and their total.
+        progress: Called with the number of flights written and the total.
 
     Returns:
         The path written.
 
     Raises:
-        ValueError: Unknown format, `out` exists, or the dataset is not one.
+        ValueError: The format is unknown, `out` exists, or `path` is not a dataset.
         ModuleNotFoundError: A package of the extra "export" is missing.
         OSError: `out` cannot be written.
     """
@@ -106,7 +106,7 @@ def export(
 
 
 def timestamps(steps: int, rate_hz: float) -> NDArray[np.int64]:
-    """Time of each sample since the start of its flight, (steps,) [ns]."""
+    """Return the time of each sample since the start of its flight, (steps,) [ns]."""
     return np.rint(np.arange(steps) * (1e9 / rate_hz)).astype(np.int64)
 
 
@@ -120,7 +120,7 @@ def _netcdf(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
 
 
 def _parquet(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
-    """One row per sample and one row group per flight; units are in the metadata of each column."""
+    """Write one row per sample and one row group per flight; the metadata of each column has its unit."""
     import pyarrow as arrow
     from pyarrow import parquet
 
@@ -143,7 +143,7 @@ def _parquet(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
 
 
 def _huggingface(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
-    """The folder of a Hugging Face dataset: its card, README.md, and one table of samples in Parquet."""
+    """Write the folder of a Hugging Face dataset: the card README.md and one Parquet table of samples."""
     (out / "data").mkdir(parents=True)
     _parquet(dataset, out / "data" / "flights.parquet", progress)
     rows = []
@@ -156,7 +156,10 @@ def _huggingface(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
 
 
 def _euroc(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
-    """A folder per flight, laid out as the EuRoC MAV dataset is; the body frame is at the centre of mass."""
+    """Write a folder per flight in the layout of the EuRoC MAV dataset.
+
+    The body frame is at the centre of mass.
+    """
     rate_hz = dataset.attrs["rate_hz"]
     truth = _yaml("visual-inertial", "the simulated state itself", np.eye(4))
     sensors = {
@@ -199,7 +202,7 @@ def _imu_yaml(imu: ImuSpec | None, rate_hz: float) -> str:
 
 
 def _rosbag2(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
-    """A bag per flight: `/imu` (sensor_msgs/Imu, in the frame `imu`) and `/pose`, the truth in `world`."""
+    """Write a bag per flight: `/imu` (sensor_msgs/Imu, frame `imu`) and the true `/pose` (frame `world`)."""
     from rosbags.rosbag2 import Writer
     from rosbags.typesys import Stores, get_typestore
 
@@ -234,7 +237,10 @@ def _rosbag2(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
 
 
 def _flights(dataset: xr.Dataset, progress: Progress) -> Iterator[tuple[int, xr.Dataset]]:
-    """Each flight's samples before its end, loaded; reports progress when the caller asks for the next."""
+    """Yield the samples of each flight before its end.
+
+    Report progress when the caller asks for the next flight.
+    """
     unknown = json.loads(dataset.attrs["config"]).get("unknown", ())
     total = dataset.sizes["flight"]
     for flight in range(total):
@@ -245,7 +251,7 @@ def _flights(dataset: xr.Dataset, progress: Progress) -> Iterator[tuple[int, xr.
 
 
 def _imu_of(dataset: xr.Dataset) -> ImuSpec | None:
-    """The IMU that was simulated; None where the dataset does not say, or it was recorded."""
+    """Return the simulated IMU; None if the flights were recorded or the dataset does not name the IMU."""
     config = json.loads(dataset.attrs["config"])
     if "imu" not in config or "logs" in config:
         return None

@@ -1,4 +1,4 @@
-"""What long work shows on a terminal, and where it runs."""
+"""Output on the terminal, progress bars, and the choice of workers."""
 
 import logging
 import sys
@@ -25,14 +25,14 @@ output = Console(
 
 
 def say(line: object, style: str | None = None) -> None:
-    """Print a line as it is: it holds no markup, no number is coloured, and it is not wrapped."""
+    """Print a line without markup, colouring of numbers, or wrapping."""
     output.print(str(line), style=style, markup=False, highlight=False, soft_wrap=True)
 
 
 def print_table(
     rows: Iterable[Iterable[object]], headings: Sequence[str] = (), title: str | None = None
 ) -> None:
-    """Print rows of cells below headings, or without any."""
+    """Print rows of cells as a table, with optional headings."""
     table = Table(*headings, title=title, show_header=bool(headings))
     for row in rows:
         table.add_row(*(Text(str(cell)) for cell in row))
@@ -40,7 +40,7 @@ def print_table(
 
 
 class Bar(Protocol):
-    """A progress bar: how much is done of how much, and a remark."""
+    """A progress bar with the finished and total amount and a remark."""
 
     def __call__(self, done: int, total: int, note: str = "") -> None:
         """Move the bar."""
@@ -48,7 +48,7 @@ class Bar(Protocol):
 
 @contextmanager
 def progress_bar(title: str, unit: str) -> Iterator[Bar]:
-    """A progress bar as a callback, with time elapsed and left."""
+    """Show a progress bar with elapsed and remaining time; yield the function that moves the bar."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -76,13 +76,13 @@ def progress_bar(title: str, unit: str) -> Iterator[Bar]:
 
 @contextmanager
 def pool_of(workers: str | None) -> Iterator[tuple[int | None, Executor | None]]:
-    """Processes of our own, or the executor of a Dask cluster.
+    """Choose worker processes or the executor of a Dask cluster.
 
     Args:
         workers: Number of processes, None for one per CPU, or the address of a Dask scheduler.
 
     Yields:
-        Number of processes and executor, of which one is None.
+        Number of processes and executor; one of them is None.
     """
     if workers is None or ":" not in workers:
         if workers is not None and not (workers.isdecimal() and int(workers)):
