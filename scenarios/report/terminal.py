@@ -13,9 +13,9 @@ from ..bench.verdict import Verdict
 
 
 def rows_table(rows: Sequence[Mapping[str, object]], title: str = "") -> Table:
-    """A table of rows by their headings; numbers are aligned to the right, and a dash is none.
+    """Make a table of rows, given by their headings; numbers are aligned to the right.
 
-    The first column, of names, is not wrapped. A column without any text is left out.
+    The first column is not wrapped. Columns without text are omitted.
     """
     table = Table(title=title, box=SIMPLE, padding=(0, 1, 0, 0))
     shown = [heading for heading in rows[0] if any(row[heading] != "" for row in rows)]
@@ -32,7 +32,7 @@ def rows_table(rows: Sequence[Mapping[str, object]], title: str = "") -> Table:
 
 
 def standings_table(judged: Verdict) -> Table:
-    """The table of a verdict, as the report shows it; crashes in red."""
+    """Make the table of a verdict, with crashes in red."""
     table = rows_table([{"estimator": each.estimator, **each.texts} for each in judged.standings])
     for row, each in zip(table.rows, judged.standings, strict=True):
         row.style = "red" if each.crashed else None
@@ -43,7 +43,7 @@ def standings_table(judged: Verdict) -> Table:
 
 
 def breaking_table(results: Results) -> Table:
-    """Contenders against sweeps: the least level at which one crashed."""
+    """Make a table of contenders and sweeps, with the smallest level at which a flight crashed."""
     rows = [
         {"estimator": name} | {sweep: results.breaking_point(sweep, name) for sweep in results.axes}
         for name in results.estimators
@@ -52,7 +52,7 @@ def breaking_table(results: Results) -> Table:
 
 
 def cores_table(cores: Sequence[ChipCore]) -> Table:
-    """The neurons of each core of a chip, and how much of each limit they take."""
+    """Make a table of the cores of a chip: neurons, and use of each limit."""
     headings = {name: "\n".join([*name.split(), f"({limit})"]) for name, limit in LIMITS.items()}
     rows = [
         {
