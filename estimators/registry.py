@@ -165,7 +165,7 @@ def tuning_misfit(name: str, tuning: str | Path | None, vehicle: VehicleLike, im
 
 
 def training_misfit(name: str, vehicle: VehicleLike) -> str:
-    """Describe the airframes of a network's training if the flying one is not among them; empty otherwise.
+    """Describe the airframes of a network's training if the simulated one is not among them; else empty.
 
     The result is also empty if the weights do not name the airframes. The name can be that of a controller.
     """

@@ -200,11 +200,11 @@ class Plant:
         """Place the vehicles; the default is level hover at rest, 1 m above the ground.
 
         Args:
-            position: (m, 3) [m], world.
-            velocity: (m, 3) [m/s], world.
-            quat: (m, 4) quat_WB, normalised here.
-            ang_vel: (m, 3) [rad/s], body axes.
-            rotor_vel: (m, rotors) [rad/s].
+            position: Position in world axes (m, 3) [m].
+            velocity: Velocity in world axes (m, 3) [m/s].
+            quat: Attitude quat_WB (m, 4), which is normalised.
+            ang_vel: Body rate, body axes (m, 3) [rad/s].
+            rotor_vel: Rotor speeds (m, rotors) [rad/s].
             ids: The m vehicles to reset; None for all.
 
         Raises:

@@ -69,7 +69,7 @@ class ControlSettings(Strict):
     round_flights: Number = 40
     """Number of flights that each further round adds."""
     teacher_share: Share = 0.3
-    """Share of the time for which the teacher flies in further round k: this number to the power k."""
+    """Base b of the share of the time for which the teacher flies, which is b^k in further round k."""
     validation_flights: Number = 24
     """Number of flights by the student after each epoch, which select the best epoch."""
 

@@ -103,7 +103,7 @@ class InnerLoop:
     def steer(self, level: int, accel: Array) -> int:
         """Write rotor speeds for the commands in the records.
 
-        Return the number of the level of these rotor speeds.
+        Return the number of the level of the written command.
 
         Args:
             level: Number of the level of the commands, 0 (position) to 4 (rotor). Commands at levels 3 and 4

@@ -64,7 +64,7 @@ def predicted(vehicle: Vehicle, flight: Flight, rotor_vel: Array) -> Array:
         vehicle: The vehicle.
         flight: The flight, whose body rate and velocity relative to the air are used. An unknown velocity
             counts as 0.
-        rotor_vel: (T, rotors) [rad/s].
+        rotor_vel: Rotor speeds (T, rotors) [rad/s].
     """
     air_vel = np.zeros_like(flight.gyro) if flight.air_vel is None else flight.air_vel
     record = vehicle_records([vehicle], 1.0 / flight.rate_hz)[0]

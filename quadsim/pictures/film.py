@@ -61,9 +61,9 @@ def film(
     Args:
         path: File to write, `.mp4`.
         vehicle: Airframe.
-        time: (T,) [s].
-        position: (T, 3) [m].
-        quat: (T, 4) quat_WB.
+        time: Times of the samples (T,) [s].
+        position: Position in world axes (T, 3) [m].
+        quat: True quat_WB (T, 4).
         marks: Estimate, set-point and wind, which are shown with a clock.
         progress: Called after each frame with the number of finished frames and the total.
 

@@ -62,7 +62,7 @@ class Registering:
     def find_spec(
         name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """As `importlib.abc.MetaPathFinder.find_spec`; None for every other name."""
+        """Find a module, as `importlib.abc.MetaPathFinder.find_spec` does; return None for other names."""
         found = PathFinder.find_spec(name, path, target) if name == REGISTRY else None
         if found is None or found.origin is None:
             return None
@@ -76,5 +76,5 @@ class Neighbours:
     def find_spec(
         name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """As `importlib.abc.MetaPathFinder.find_spec`; None for every other name."""
+        """Find a module, as `importlib.abc.MetaPathFinder.find_spec` does; return None for other names."""
         return PathFinder.find_spec(name, [str(ROOT)], target) if name in (*PACKAGES, "assets") else None
