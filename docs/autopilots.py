@@ -154,8 +154,8 @@ def betaflight(part: Part, given: Namespace) -> Values:
     count = EACH * len(SCENARIOS)
     return {
         "verdict": f"Betaflight's estimator has an error of {own:.2f}° (95 % interval "
-        f"{span(own - half, own + half)}°) over {count} flights, of which {crashes} crashed. On the same "
-        f"readings, quadsim's estimators have errors that are {sentence(both[0])}.",
+        f"{span(own - half, own + half)}°) over {count} flights, and {crashes or 'none'} of them crashed. On "
+        f"the same readings, quadsim's estimators have errors that are {sentence(both[0])}.",
         "calibrated": f"With a calibrated gyroscope, its error is {theirs:.2f}°, and quadsim's "
         f"estimators have errors that are {sentence(both[1])}.",
         "version": version("betaflight"),

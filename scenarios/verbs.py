@@ -56,11 +56,11 @@ def run_bench(
     """
     chosen = load_experiment(experiment)
     if chosen.seed is not None and seed is not None:
-        raise ValueError(f"{experiment} has a seed of its own: leave --seed out")
+        raise ValueError(f"{experiment} has its own seed: omit --seed")
     settings = FlightSettings(seeds or chosen.seeds, chosen.seed or seed or 0, rate_hz, tuning)
     if not names:
         left_out = ", ".join(f"{name} ({why})" for name, why in LEFT_OUT.items())
-        say(f"Without {left_out}; --estimator NAME chooses.")
+        say(f"Not included: {left_out}. To include one, give it by --estimator.")
     flown = contenders(names or default_estimators(), controllers)
     with alone(out):
         with recorded(out), pool_of(workers) as (count, executor), progress_bar("fly", "cells") as progress:

@@ -67,7 +67,7 @@ def fig4(numbers: Numbers) -> Figure:
 
 
 def fig5(numbers: Numbers) -> Figure:
-    """Draw the errors of the second domain's test flights, with an unknown and, for filters, a known start."""
+    """Draw the errors of the second domain's test flights, with an unknown and a known start."""
     names = [*SIX, *OWN]
     figure, axes = _panels(9.6, 3.8)
     handles: list[Artist] = []

@@ -91,7 +91,9 @@ def _compile(source: Path, lockstep: Path, folder: Path, program: Path) -> None:
             cwd=folder, capture_output=True, text=True, check=False,
         )  # fmt: skip
     except FileNotFoundError as error:
-        raise ValueError("betaflight's firmware is compiled by make and gcc, and there is no make") from error
+        raise ValueError(
+            "compiling betaflight's firmware needs make and gcc, and make is not installed"
+        ) from error
     found = list((folder / "obj").glob("betaflight_*_SITL"))
     if made.returncode or not found:
         errors = [line for line in made.stderr.splitlines() if "error: " in line] or [made.stderr[-200:]]

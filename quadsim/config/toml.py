@@ -106,9 +106,9 @@ def read_text(path: Path, label: str = "", most_mb: float = 1.0) -> str:
     label = label or str(path)
     try:
         if path.exists() and not path.is_file():
-            raise ValueError(f"{label}: is not a plain file")
+            raise ValueError(f"{label}: not a plain file")
         if (size := path.stat().st_size) > most_mb * 1e6:
-            raise ValueError(f"{label}: {size / 1e6:.0f} MB; at most {most_mb:g} MB are read")
+            raise ValueError(f"{label}: the file has {size / 1e6:.0f} MB; at most {most_mb:g} MB are allowed")
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise ValueError(
@@ -136,7 +136,7 @@ def parse(data: dict[str, object], model: type[Model], label: str, folder: Path 
         data = data if folder is None else _located(data, folder)
         return model.model_validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as error:
-        raise ValueError(f"{label}: {describe(error, model)}") from error
+        raise ValueError(": ".join(filter(None, (label, describe(error, model))))) from error
 
 
 def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -214,6 +214,8 @@ def _describe_one(error: ErrorDetails, model: type[BaseModel]) -> str:
             tag, known = (str(context[key]).replace("'", "") for key in ("discriminator", "expected_tags"))
             return f'{path}.{tag} = "{context["tag"]}"; {nearest(context["tag"], known.split(", "))}'
     message = " ".join(error["msg"].removeprefix("Value error, ").removeprefix("Input ").split())
+    if path and isinstance(error["input"], dict):  # the message names the key of the table
+        return f"{path}: {message}"
     return f"{path} = {_shorten(error['input'])}: {message}" if path else message
 
 

@@ -84,7 +84,7 @@ def generate(
     except ChildProcessError:
         raise
     except OSError as error:
-        raise OSError(f"cannot write {out}: {error.strerror or error}; finished flights stay") from error
+        raise OSError(f"cannot write {out}: {error.strerror or error}; finished flights are kept") from error
     return out
 
 
@@ -115,7 +115,9 @@ def _make_way(plan: Plan, out: Path, overwrite: bool) -> bool:
             return False
     if folder.exists():
         if not (folder / "flights").is_dir():
-            raise ValueError(f"{folder} is in the way and not from quadsim: move it, or choose another --out")
+            raise ValueError(
+                f"{folder} exists and was not written by quadsim: move it, or choose another --out"
+            )
         text = dataset_store.read_plan(folder)
         if text == json.dumps(plan.content):
             return True

@@ -48,7 +48,7 @@ def _by_name(load: Callable[[str], Model], model: type[Model]) -> BeforeValidato
     def read(given: Any) -> Any:
         if isinstance(given, str):
             return load(given)
-        return parse(given, model, model.__name__) if isinstance(given, dict) else given
+        return parse(given, model, "") if isinstance(given, dict) else given
 
     return BeforeValidator(read)
 
@@ -83,7 +83,7 @@ class Recipe(Surroundings):
     @model_validator(mode="after")
     def _has_no_delay(self) -> "Recipe":
         if self.randomisation.delay:
-            raise ValueError("randomisation.delay: a dataset has no external sensor, leave it out")
+            raise ValueError("randomisation.delay: a dataset has no external sensor, so omit this key")
         return self
 
 
@@ -112,4 +112,11 @@ def changed_recipe(source: str | Path, changes: Mapping[str, Any], label: str) -
     Raises:
         ValueError: One line with the label, the key, its value and what is allowed.
     """
-    return parse(merged(load_recipe(source).model_dump(mode="json"), changes), Recipe, label)
+    base = load_recipe(source)
+    trajectory = changes.get("trajectory")
+    if isinstance(trajectory, dict) and trajectory.get("kind", base.trajectory.kind) != base.trajectory.kind:
+        raise ValueError(
+            f"{label}: trajectory.kind = {trajectory['kind']!r}: another kind of trajectory has other keys; "
+            "write a recipe file of your own, and give --recipe FILE.toml"
+        )
+    return parse(merged(base.model_dump(mode="json"), changes), Recipe, label)

@@ -115,7 +115,7 @@ def identify(flights: Sequence[Flight], start: Vehicle) -> Identified:
     fits = [_table(start, names, x[: len(names)] * scale, half * scale), *_lags(flights, start)]
     constants = pd.concat(fits).reindex([path for path in UNITS if any(path in fit.index for fit in fits)])
     missing += [
-        f"{path}: {_undetermined(row)}, so it stays {row['start']:.4g}"
+        f"{path}: {_undetermined(row)}, so the value stays {row['start']:.4g}"
         for path, row in constants.to_dict("index").items()
         if not row["identified"]
     ]

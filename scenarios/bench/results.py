@@ -100,20 +100,20 @@ class Results:
 
     @property
     def warnings(self) -> list[str]:
-        """Warnings about tuning or training for another vehicle or IMU, and about faults that begin too late."""
+        """Warnings about tuning or training for another vehicle or IMU, and about faults after the end."""
         tuned: dict[str, dict[str, None]] = {}
         trained: dict[str, dict[str, None]] = {}
         flown_with = dict.fromkeys((each.vehicle, each.imu) for each in self.scenarios.values())
         for (vehicle, imu), name in product(flown_with, self.estimators):
             estimator, airframe = estimator_of(name), Path(vehicle).stem
             if other := tuning_misfit(estimator, tuning_of(name, self.settings.tuning), vehicle, imu):
-                text = f"Tuned for {other}, not for {airframe} with {Path(imu).stem}, which was simulated"
+                text = f"Tuned for {other}, not for the simulated {airframe} with {Path(imu).stem}"
                 tuned.setdefault(text, {})[name] = None
             for part in (estimator, controller_of(name)):
                 if other := training_misfit(part, vehicle):
-                    text = f"Trained on {other}, not on the {airframe}, which was simulated"
+                    text = f"Trained on {other}, not on the simulated {airframe}"
                     trained.setdefault(text, {})[part] = None
-        how = " `quadsim tune` on flights of it, then --set tuning=FILE."
+        how = " Run `quadsim tune` on flights of this vehicle and IMU, and give --set tuning=FILE."
         late = [
             f"{name} ends at {scenario.duration_s:g} s, before its fault {fault.kind} at {start:g} s"
             for name, scenario in self.scenarios.items()

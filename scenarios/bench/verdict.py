@@ -133,17 +133,17 @@ def shown(error_deg: float | None) -> str:
 def conditions(scenarios: Mapping[str, Scenario]) -> str:
     """Describe the conditions of the scenarios in a sentence."""
     aspects: dict[str, Callable[[Scenario], str]] = {
-        "airframe": lambda each: Path(each.vehicle).stem,
-        "its drag": _drag,
-        "IMU": lambda each: Path(each.imu).stem,
-        "initial attitude": _initial,
+        "The airframe": lambda each: Path(each.vehicle).stem,
+        "Its drag": _drag,
+        "The IMU": lambda each: Path(each.imu).stem,
+        "The initial attitude": _initial,
     }
     found = []
     for aspect, level_of in aspects.items():
         counts = Counter(map(level_of, scenarios.values())).most_common()
         each = [f"{level} in {_count(times, 'scenario')}" for level, times in counts]
-        found.append(f"{aspect} {', '.join(each) if len(counts) > 1 else counts[0][0]}")
-    return f"Conditions: {'; '.join(found)}."
+        found.append(f"{aspect} is {listed(each) if len(counts) > 1 else counts[0][0]}.")
+    return " ".join(found)
 
 
 # --- the table ------------------------------------------------------------------------------------
@@ -203,7 +203,8 @@ def _nobody(results: Results) -> tuple[str, list[str]]:
     what = "No estimator is fit" if flaws else "No estimator ran"
     why = "; ".join(f"{name} {reason}" for name, reason in {**reasons, **flaws}.items())
     advice = (
-        "Estimates are roll and pitch in rad at every sample. Fly one that ships beside: --estimator eskf."
+        "An estimator returns roll and pitch in rad at every sample. To compare, add a shipped one: "
+        "--estimator eskf."
     )
     return f"{what}: {why}.", [advice]
 
@@ -219,7 +220,7 @@ def _headline(results: Results, whole: Choice, measure: Measure) -> str:
     left = [name for name in results.scenarios if name not in whole.lost]
     if not left:
         return f"No estimator survives {_where(whole.lost, 'any of these')}."
-    text, seeds = f"in {_where(left, 'these')} {recommended(whole, measure)}", results.settings.seeds
+    text, seeds = f"in {_where(left, 'these')}, {recommended(whole, measure)}", results.settings.seeds
     if seeds < FEW and len(whole.best) > 1:
         few = f"{_count(seeds, 'flight')} of each in a scenario {'is' if seeds == 1 else 'are'} too few"
         text += f" {few} to choose between them."
@@ -249,9 +250,9 @@ def _headline_of(
 
 def _fly(results: Results, whole: Choice) -> str:
     """Begin a headline: where nothing survives, and on which flights the rest of it was found."""
-    fly = "Fly" if results.experiment.held_out else f"On these {len(results.scenarios)} combinations fly"
+    fly = "Fly" if results.experiment.held_out else f"On these {len(results.scenarios)} combinations, fly"
     if results.partial:
-        fly = f"On a part of the held-out suite ({results.partial}) fly"
+        fly = f"On a part of the held-out suite ({results.partial}), fly"
     if whole.lost:
         return f"No estimator survives {_where(whole.lost, 'any of')}; elsewhere {fly[0].lower()}{fly[1:]}"
     return fly
@@ -261,7 +262,7 @@ def recommended(found: Choice, measure: Measure) -> str:
     """Return the recommendation with its reason, as the end of a sentence."""
     names = listed([said(place.name, measure) for place in found.best], "or")
     if not found.best[0].fit:
-        return f"no estimator is fit to fly: {names} {found.best[0].fate}, the others in more."
+        return f"no estimator is fit to fly: {names} {found.best[0].fate}, and the others in more."
     only = ", the only one that ran" if len(found.places) == 1 else ""
     return f"fly {names}{only} ({outcome(found.best, measure)})."
 
@@ -299,7 +300,7 @@ def _number(value: float | None) -> str:
 def _drag(scenario: Scenario) -> str:
     if not scenario.vehicle_known:
         return "not known"
-    return "known" if scenario.drag_factor == 1.0 else f"{scenario.drag_factor:g} times what is known"
+    return "known" if scenario.drag_factor == 1.0 else f"{scenario.drag_factor:g} times the known value"
 
 
 def _initial(scenario: Scenario) -> str:

@@ -37,7 +37,7 @@ def standings_table(judged: Verdict) -> Table:
     for row, each in zip(table.rows, judged.standings, strict=True):
         row.style = "red" if each.crashed else None
     table.caption = (
-        "Errors are means over scenarios, of flights without a crash. Every flight: flights.parquet"
+        "Errors are means over scenarios of the flights without a crash. flights.parquet lists every flight."
     )
     return table
 
@@ -48,7 +48,7 @@ def breaking_table(results: Results) -> Table:
         {"estimator": name} | {sweep: results.breaking_point(sweep, name) for sweep in results.axes}
         for name in results.estimators
     ]
-    return rows_table(rows, "Breaking points: the least level at which a flight crashed")
+    return rows_table(rows, "Breaking points: the smallest level at which a flight crashed")
 
 
 def cores_table(cores: Sequence[ChipCore]) -> Table:
@@ -62,4 +62,4 @@ def cores_table(cores: Sequence[ChipCore]) -> Table:
         | {headings[name]: used for name, used in core.used().items()}
         for number, core in enumerate(cores)
     ]
-    return rows_table(rows, "On the chip: used of what a core has")
+    return rows_table(rows, "Use of each core of the chip, with the limits in brackets")

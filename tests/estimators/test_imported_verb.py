@@ -38,7 +38,7 @@ def test_the_verb_writes_integers_c_and_a_report(tmp_path, monkeypatch, capsys):
     assert stop.value.code == 0
     report = json.loads((out / "report.json").read_text())
     last = capsys.readouterr().out.splitlines()[-1]
-    same = f"{100 * report['agreement']:.1f} % of {report['spikes']} spikes as in floats"
+    same = f"{100 * report['agreement']:.1f} % of {report['spikes']} spikes agree with floats"
     assert last == f"{out}: 1 of a chip's 128 cores, {same}"
     assert report["latency_steps"] == 2
     assert report["energy_nJ_per_step"] > 1.0

@@ -103,5 +103,5 @@ def test_no_hostile_estimator_wins_a_flown_benchmark(tmp_path):
         own["Peek"]: "received the true attitude",
         own["Constant"]: "returned the same roll and pitch at every sample",
     }
-    assert verdict(results).headline.startswith("In hover fly mahony")
+    assert verdict(results).headline.startswith("In hover, fly mahony")
     assert {each.name for each in choice(results, ["hover"]).places} == {"mahony", own["Tilted"]}

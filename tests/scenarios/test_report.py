@@ -116,7 +116,7 @@ def painted(page, selector):
 def test_everything_is_there(page):
     for part in ("verdict", "map", "series", "replay", "spread", "table", "offline", "method"):
         assert page.locator(f"#{part}").is_visible()
-    assert page.locator("#verdict h2").inner_text().startswith("In calm and storm fly mahony (no crash in 4")
+    assert page.locator("#verdict h2").inner_text().startswith("In calm and storm, fly mahony (no crash in 4")
     assert page.locator(".heat td[data-scenario]").count() == 8
     assert page.locator(".heat tbody td.mean").count() == 4
     assert page.locator("#violins polygon").count() == 2

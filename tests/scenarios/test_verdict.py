@@ -42,7 +42,7 @@ def test_a_flight_that_did_not_run_counts_as_lost():
     results = benchmark({"x": {"a": [3.0, 3.0], "b": [3.0, 3.0]}, "y": {"a": [1.0, 1.0], "b": "no weights"}})
     assert order(results) == ["x", "y"]
     found = verdict(results)
-    assert found.headline == "In a and b fly x (no crash in 4 flights, error 3.00°)."
+    assert found.headline == "In a and b, fly x (no crash in 4 flights, error 3.00°)."
     assert found.standings[1].texts["note"] == "did not run in 1 scenario: no weights"
     none = verdict(benchmark({"x": {"a": "no weights"}, "y": {"a": [crash(5.0)] * 2}})).standings
     assert [(each.estimator, each.texts["rank"]) for each in none] == [("y", "1"), ("x", "–")]
@@ -58,7 +58,7 @@ def test_where_nobody_survives_no_estimator_is_recommended_there():
     results = benchmark({name: {"gyrofail": lost[name], "hover": calm[name]} for name in lost})
     found = verdict(results)
     assert found.headline == (
-        "No estimator survives gyrofail; in hover fly ekf-drag (no crash in 4 flights, error 0.51°)."
+        "No estimator survives gyrofail; in hover, fly ekf-drag (no crash in 4 flights, error 0.51°)."
     )
     assert [each.estimator for each in found.standings] == ["ekf-drag", "vqf", "imm", "att-snn"]
     assert found.standings[0].texts["error [°]"] == "0.51"
@@ -71,38 +71,38 @@ FIVE = {name: [1.0, 1.1] for name in "abcde"}
 HEADLINES = {
     "a recommended one crashed": (
         {"x": {"a": [crash(5.0), 1.0, 1.0, 2.0]}, "y": {"a": [crash(5.0), crash(9.0), 0.1, 0.1]}},
-        "In a fly x (crashed in 1 of 4 flights, error 1.33° in the others).",
+        "In a, fly x (crashed in 1 of 4 flights, error 1.33° in the others).",
     ),
     "the best crashes in most": (
         {"x": {"a": [crash(5.0), crash(5.0), 1.0]}, "y": {"a": [crash(5.0)] * 3}},
-        "In a no estimator is fit to fly: x crashed in 2 of 3 flights, the others in more.",
+        "In a, no estimator is fit to fly: x crashed in 2 of 3 flights, and the others in more.",
     ),
     "all that do not differ significantly are named": (
         {"x": {"a": [1.0] * 4}, "y": {"a": [1.4, 0.8, 1.4, 0.8]}, "z": {"a": [1.3, 0.9, 1.3, 1.0]},
          "far": {"a": [3.0, 3.1, 3.0, 3.1]}},
-        "In a fly x, y or z (no crash in 4 flights each, error 1.00° to 1.12°; the difference is not "
+        "In a, fly x, y or z (no crash in 4 flights each, error 1.00° to 1.12°; the difference is not "
         "significant). 4 flights of each in a scenario are too few to choose between them.",
     ),
     "none in a tie ranks below one left out": (  # noisy is worse in the mean, steady significantly
         {"best": {"a": [1.0] * 4}, "steady": {"a": [1.2, 1.21] * 2}, "noisy": {"a": [0.3, 3.0] * 2}},
-        "In a fly best (no crash in 4 flights, error 1.00°).",
+        "In a, fly best (no crash in 4 flights, error 1.00°).",
     ),
     "one flight chooses nothing": (
         {"x": {"a": [1.0]}, "y": {"a": [2.0]}, "z": {"a": [crash(5.0)]}},
-        "In a fly x or y (no crash in 1 flight each, error 1.00° to 2.00°; the difference is not "
+        "In a, fly x or y (no crash in 1 flight each, error 1.00° to 2.00°; the difference is not "
         "significant). 1 flight of each in a scenario is too few to choose between them.",
     ),
     "many scenarios are counted": (
         {"x": FIVE, "y": {name: [2.0, 2.1] for name in FIVE}},
-        "In these 5 scenarios fly x (no crash in 10 flights, error 1.05°).",
+        "In these 5 scenarios, fly x (no crash in 10 flights, error 1.05°).",
     ),
     "few scenarios are named": (
         {"x": {"a": [1.0, 1.1], "b": [1.0, 1.1]}, "y": {"a": [2.0, 2.1], "b": [2.0, 2.1]}},
-        "In a and b fly x (no crash in 4 flights, error 1.05°).",
+        "In a and b, fly x (no crash in 4 flights, error 1.05°).",
     ),
     "who did not run is no rival": (
         {"x": {"a": [1.0, 1.1]}, "y": {"a": "no weights"}},
-        "In a fly x, the only one that ran (no crash in 2 flights, error 1.05°).",
+        "In a, fly x, the only one that ran (no crash in 2 flights, error 1.05°).",
     ),
     "one alone is described": (
         {"truth": {"a": [0.1] * 3, "b": [0.1] * 3}, "x": {"a": [crash(5.0)] * 2 + [1.0], "b": [2.0] * 3}},
@@ -128,7 +128,7 @@ def test_what_receives_the_truth_is_a_reference_whatever_its_name():
         references=("est.py:Peek",),
     )
     found = verdict(results)
-    assert found.headline.startswith("In a fly mahony (")
+    assert found.headline.startswith("In a, fly mahony (")
     assert [each.estimator for each in found.standings] == ["mahony", "vqf", "est.py:Peek"]
     assert found.standings[-1].texts["note"] == "not ranked: it received the true attitude"
     alone = benchmark({"est.py:Peek": {"a": [0.0]}}, references=("est.py:Peek",))
@@ -141,7 +141,7 @@ def test_an_estimator_that_repeats_another_or_flies_exactly_as_it_is_not_ranked_
     both = {"ekf-filterpy": {"a": [1.0, 1.1]}, "ekf": {"a": [1.0, 1.1]}, "vqf": {"a": [2.0, 2.1]}}
     results = benchmark(both)
     assert results.unranked == {"ekf-filterpy": "repeats ekf"}
-    assert verdict(results).headline.startswith("In a fly ekf (")
+    assert verdict(results).headline.startswith("In a, fly ekf (")
     assert benchmark({name: own for name, own in both.items() if name != "ekf"}).unranked == {}
     found = verdict(benchmark({"a": {"s": [1.0, 2.0]}, "b": {"s": [1.0, 2.0]}, "c": {"s": [1.0, 2.5]}}))
     assert [each.estimator for each in found.standings] == ["a", "c", "b"]
@@ -154,7 +154,7 @@ def test_controllers_are_ranked_by_tracking_and_none_on_the_truth_is_a_candidate
     errors = {"truth": 0.5, "truth @ c": 0.75, "x": 1.5, "x @ c": 1.0}  # tracking is twice as much
     results = benchmark({name: {"a": [error] * 2} for name, error in errors.items()})
     found = verdict(results)
-    assert found.headline == "In a fly c on x (no crash in 2 flights, tracking error 2.00°)."
+    assert found.headline == "In a, fly c on x (no crash in 2 flights, tracking error 2.00°)."
     assert [each.estimator for each in found.standings] == ["x @ c", "x", "truth", "truth @ c"]
     assert found.standings[-1].texts["command change [rad/s]"] == "5.00"
     assert found.standings[-1].texts["note"] == "not ranked: it received the true attitude"
@@ -163,7 +163,7 @@ def test_controllers_are_ranked_by_tracking_and_none_on_the_truth_is_a_candidate
 def test_on_the_truth_alone_all_controllers_are_compared_and_the_cascade_may_win():
     errors = {"truth": 0.5, "truth @ c": 0.75, "truth @ d": 0.6}
     found = verdict(benchmark({name: {"a": [error] * 2} for name, error in errors.items()}))
-    assert found.headline.startswith("In a fly the cascade on truth (no crash in 2 flights")
+    assert found.headline.startswith("In a, fly the cascade on truth (no crash in 2 flights")
     assert [each.estimator for each in found.standings] == ["truth", "truth @ d", "truth @ c"]
 
 
@@ -194,9 +194,9 @@ def test_every_verdict_says_on_what_condition_it_holds_and_what_to_fly_elsewhere
     }
     line = " ".join(verdict(benchmark({"x": {k: [1.0] for k in "abc"}}, scenarios=scenarios)).lines)
     for part in (
-        "Conditions: airframe hummingbird; its drag known in 1 scenario, 2 times what is known in 1 "
-        "scenario, not known in 1 scenario; IMU adis16448; initial attitude given in 2 scenarios, not given "
-        "in 1 scenario.",
+        "The airframe is hummingbird. Its drag is known in 1 scenario, 2 times the known value in 1 scenario "
+        "and not known in 1 scenario. The IMU is adis16448. The initial attitude is given in 2 scenarios and "
+        "not given in 1 scenario.",
         f"In general: {recommendation().sentence} (Held-out suite of release {recommendation().release}",
     ):
         assert part in line
@@ -233,7 +233,7 @@ def test_a_network_on_an_airframe_that_it_was_not_trained_on_is_warned_of():
     results = benchmark({name: {"a": [1.0]} for name in names}, scenarios=scenarios)
     trained = [line for line in results.warnings if line.startswith("Trained")]
     assert trained == [
-        "Trained on the hummingbird, not on the crazyflie, which was simulated: att-snn-paper, "
+        "Trained on the hummingbird, not on the simulated crazyflie: att-snn-paper, "
         "control-attitude, control-attitude-loihi."
     ]
     at_home = replace(results, scenarios={"a": Scenario(description="")})

@@ -23,7 +23,7 @@ def test_the_headline_has_a_clause_for_each_condition():
     good, poor = [1.0, 1.1, 1.0, 1.1], [3.0, 3.1, 3.0, 3.1]
     found = verdict(designed({"drag": [good, poor, poor, "no vehicle"], "imm": [poor, good, good, good]}))
     assert found.headline == (
-        "On these 4 combinations fly drag where the airframe's drag is known, imm where it is half or twice "
+        "On these 4 combinations, fly drag where the airframe's drag is known, imm where it is half or twice "
         "that, imm where it is not known."
     )
     assert found.lines[:3] == [
@@ -35,7 +35,7 @@ def test_the_headline_has_a_clause_for_each_condition():
     assert found.lines[-1] == recommendation().elsewhere
     alone = verdict(designed({"imm": [good] * 4, "vqf": [poor] * 4}))
     assert alone.headline == (
-        "On these 4 combinations fly imm, whether the airframe's drag is known or not (no crash in 16 "
+        "On these 4 combinations, fly imm, whether the airframe's drag is known or not (no crash in 16 "
         "flights)."
     )
     at_worst = verdict(designed({"drag": [good, poor, poor, good], "imm": [good] * 4})).standings[1]
@@ -52,7 +52,7 @@ def test_the_headline_names_what_is_recommended_on_every_condition_with_its_cras
     found = verdict(designed({"drag": [one_lost, close, poor, poor], "imm": imm}))
     assert found.lines[0].startswith("With the airframe's drag known: fly drag or imm (crashed in 1 of 4")
     assert found.headline == (
-        "On these 4 combinations fly imm, whether the airframe's drag is known or not (crashed in 1 of 16 "
+        "On these 4 combinations, fly imm, whether the airframe's drag is known or not (crashed in 1 of 16 "
         "flights)."
     )
 
@@ -63,9 +63,9 @@ def test_no_estimator_that_crashes_in_most_flights_is_recommended_on_any_conditi
     assert verdict(results).headline == "No estimator is fit to fly on these conditions."
     results = designed({"imm": [[1.0, 1.0, crash(5.0), 1.0], lost, lost, lost], "vqf": [lost] * 4})
     assert verdict(results).headline == (
-        "No estimator survives axes-1, axes-2 and axes-3; elsewhere on these 4 combinations fly imm (crashed "
-        "in 1 of 4 flights) where the airframe's drag is known; no estimator is fit to fly where it is half "
-        "or twice that or where it is not known."
+        "No estimator survives axes-1, axes-2 and axes-3; elsewhere on these 4 combinations, fly imm "
+        "(crashed in 1 of 4 flights) where the airframe's drag is known; no estimator is fit to fly where it "
+        "is half or twice that or where it is not known."
     )
 
 
@@ -91,6 +91,6 @@ def test_a_part_of_the_held_out_suite_is_not_the_recommendation(monkeypatch):
         (replace(whole, scenarios=shorter), "0 of its 48 scenarios"),
     ):  # fmt: skip
         found = verdict(part)
-        assert found.headline.startswith(f"On a part of the held-out suite ({missing}) fly imm")
+        assert found.headline.startswith(f"On a part of the held-out suite ({missing}), fly imm")
         assert f"This is not the recommendation of the release: {missing} were flown." in found.lines
         assert found.lines[-1] == recommendation().elsewhere

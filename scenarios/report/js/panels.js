@@ -1,7 +1,7 @@
 /* Panels on a time axis, drawn by uPlot: zoom and cursor of one are those of all in a list. */
 import { css, node } from "./dom.js";
 
-const shownValue = (v) => (v === null || v === undefined ? "–" : v.toFixed(Math.abs(v) < 1000 ? 2 : 0));
+const shownValue = (v) => (v === null || v === undefined ? "" : v.toFixed(Math.abs(v) < 1000 ? 2 : 0));
 const GAPS = { spanGaps: false, points: { show: false }, value: (_, v) => shownValue(v) };
 export const AXES = ["#d55e00", "#009e73", "#0072b2"]; // x, y, z
 export const line = (label, stroke, more = {}) => ({ label, stroke, width: 1.4, ...more });
@@ -18,7 +18,7 @@ export function addPanel(plots, box, time, panel, { height, labelled, end, hooks
     cursor: { y: false, drag: { x: true, y: false }, points: { size: 5 }, bind: { dblclick: () => all } },
     scales: { x: { time: false }, y: { range: (_, low, high) => bounds(panel, low, high) } },
     axes: [{ ...axis, size: labelled ? 34 : 6, values: (_, ticks) => ticks.map((t) => (labelled ? `${t} s` : "")) }, { ...axis, size: 56, space: 22 }],
-    series: [{ label: "time", value: (_, t) => (t === null || t === undefined ? "–" : `${t.toFixed(2)} s`) },
+    series: [{ label: "time", value: (_, t) => (t === null || t === undefined ? "" : `${t.toFixed(2)} s`) },
       ...panel.lines.map(([, series]) => ({ ...GAPS, ...series }))],
     legend: { mount: (_, legend) => head.append(legend) },
     bands: panel.bands ?? [],
