@@ -148,9 +148,8 @@ def loaded(vehicle: VehicleLike, imu: ImuLike) -> tuple[Vehicle | None, ImuSpec 
 def tuning_misfit(name: str, tuning: str | Path | None, vehicle: VehicleLike, imu: ImuLike) -> str:
     """Describe a mismatch between the vehicle and IMU of the tuning and those of the flights.
 
-    Empty without one.
-
-    The result is also empty if vehicle or IMU are not known. The arguments are those of `create`.
+    The result is empty without a mismatch, and if vehicle or IMU are not known. The arguments are those of
+    `create`.
     """
     airframe, sensor = loaded(vehicle, imu)
     if not (name in names() or is_custom(name)) or not parameters(name) or airframe is None or sensor is None:

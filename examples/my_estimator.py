@@ -33,7 +33,7 @@ class MyEstimator:
     def update(self, gyro, accel):
         """Return roll and pitch (n, 2) [rad] from gyro [rad/s] and accel [m/s²], (n, 3) each.
 
-        NaN is missing.
+        A missing sample is NaN.
         """
         gyro = np.nan_to_num(gyro)
         roll, pitch = self.angles.T

@@ -59,7 +59,7 @@ class Stage:
     def record(self, out: Path) -> dict[str, Any]:
         """Return the record of the stage below a folder.
 
-        Empty if not started, and with "seconds" if finished.
+        The record is empty if the stage was not started, and has "seconds" if it is finished.
         """
         try:
             record = json.loads((out / self.name / RECORD).read_text(encoding="utf-8"))

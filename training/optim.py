@@ -136,7 +136,7 @@ def error_loss(estimate: Tensor, target: Tensor, huber_threshold: float = 0.0) -
 def finished(losses: Sequence[float]) -> str | None:
     """Return the reason to stop by the paper's rules after these validation losses, one per epoch.
 
-    None to continue.
+    The result is None if training continues.
     """
     if losses and len(losses) - 1 - int(np.argmin(losses)) >= 50:
         return "the lowest validation loss is 50 epochs old"

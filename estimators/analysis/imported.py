@@ -206,7 +206,7 @@ def run_chip(network: ChipNetwork, x: Array) -> Activity:
 def encoded_inputs(network: ChipNetwork, x: Array) -> NDArray[np.int32] | None:
     """Return the host's addition to the potentials of the first layer, (n, T, out) [state units].
 
-    None for spikes.
+    The result is None for spikes.
     """
     if network.encoders is None:
         return None
@@ -238,7 +238,7 @@ def _layer(layer: FloatLayer, ours: NDArray[np.int8], theirs: NDArray[np.int8]) 
 def agreement(ours: NDArray[np.int8], theirs: NDArray[np.int8]) -> float | None:
     """Return the number of common spikes divided by the number of spikes in either run.
 
-    None without spikes.
+    The result is None without spikes.
     """
     either = np.count_nonzero(ours | theirs)
     return float(np.count_nonzero(ours & theirs) / either) if either else None

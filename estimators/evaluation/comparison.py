@@ -95,7 +95,7 @@ class Evaluation:
     def tilts_deg(self) -> list[float]:
         """Tilts at which estimators were started.
 
-        None if no flight reaches such a tilt and lasts long enough.
+        There are none if no flight reaches such a tilt and lasts long enough.
         """
         return sorted({tilt for (_, tilt), curve in self.settling.items() if curve.size})
 

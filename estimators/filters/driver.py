@@ -201,7 +201,7 @@ def paired(gyro: ArrayLike, accel: ArrayLike) -> tuple[Array, Array]:
 def rotor_speeds(shape: tuple[int, ...], given: OtherSensors) -> Array:
     """Return the rotor speeds among readings (*shape, ·), without columns if there are none.
 
-    Otherwise raise ValueError.
+    Invalid shapes raise ValueError.
     """
     values = given.get("rotor_vel")
     speeds = np.empty((*shape, 0)) if values is None else np.ascontiguousarray(values, np.float64)

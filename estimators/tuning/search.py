@@ -247,7 +247,7 @@ def tunable() -> list[str]:
 def flown_on(datasets: Sequence[xr.Dataset]) -> dict[str, str]:
     """Return the fields `vehicle` and `imu` of `Tuned`.
 
-    Empty if datasets differ or the IMU is not a shipped one.
+    The fields are empty if datasets differ or the IMU is not a shipped one.
     """
     vehicles = {vehicle.name if (vehicle := vehicle_of(each)) else "" for each in datasets}
     shipped = [

@@ -142,7 +142,7 @@ def shown(estimate: Array) -> list[float]:
 def response_of(error: Array) -> dict[str, object]:
     """Return the median of inclination errors (n, T) for drawing [deg], and times to converge [s].
 
-    None: never.
+    The time is None if an estimator never converges.
     """
     below = error < CONVERGED_DEG
     first = np.where(below.any(axis=1), below.argmax(axis=1) / RATE_HZ, np.inf)

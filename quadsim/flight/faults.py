@@ -185,7 +185,7 @@ def sensor_faults(
 ) -> Corrupt | None:
     """Return the function that applies faults to the IMU readings of n vehicles.
 
-    None if there are no such faults.
+    The result is None if there are no such faults.
 
     The samples of each vehicle must be consecutive; k = 0 resets a vehicle.
 

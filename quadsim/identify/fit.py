@@ -196,7 +196,7 @@ def _half_widths(jacobian: Array, residuals: Array, rows: int) -> Array:
 def _lags(flights: Sequence[Flight], start: Vehicle) -> list[pd.DataFrame]:
     """Return the time constants of the rotors from commanded and actual speeds.
 
-    None if no flight has both.
+    There are none if no flight has both.
     """
     both = [(f, f.rotor_vel) for f in flights if f.rotor_vel is not None and f.rotor_vel_cmd is not None]
     if not both:

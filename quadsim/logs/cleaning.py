@@ -127,7 +127,7 @@ def least_steps(readings: Array) -> Array:
 def held(readings: Array, least: int) -> NDArray[np.int64]:
     """Return first sample and end of each run of at least `least` equal readings (T, ·).
 
-    None if all are equal.
+    There are none if all readings are equal.
     """
     same = (readings[1:] == readings[:-1]).all(axis=1)
     runs = stretches(same) + np.array([0, 1])

@@ -75,7 +75,7 @@ class MountEstimate(NamedTuple):
 def level(gyro: Array, accel: Array, rate_hz: float) -> MeanForce | None:
     """Return the mean specific force in seconds of hover, or in all seconds if there are too few.
 
-    None without any.
+    The result is None without complete seconds.
     """
     rates, forces = (blocks_of(each, round(rate_hz)) for each in (gyro, accel))
     complete = np.isfinite(rates).all(axis=(1, 2)) & np.isfinite(forces).all(axis=(1, 2))
@@ -95,7 +95,7 @@ def level(gyro: Array, accel: Array, rate_hz: float) -> MeanForce | None:
 def turn_at_rest(gyro: Array, accel: Array, rate_hz: float) -> Rest | None:
     """Return the part at rest in which the gyroscope rotates the vertical most.
 
-    None if there is no such part.
+    The result is None if there is no such part.
 
     A sensor is at rest in seconds in which the specific force equals gravity within 10 % and is nearly
     constant. The rotation is that of the mean rate ω perpendicular to the force. In a steady banked turn, the

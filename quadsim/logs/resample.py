@@ -105,7 +105,7 @@ def _even(
 def interpolated(grid: Array, time: Array, values: Array, longest_s: float) -> Array:
     """Interpolate valid readings to the grid (T, ·).
 
-    NaN outside and between stamps that are too far apart.
+    The result is NaN outside the stamps and in long gaps.
     """
     good = np.flatnonzero(np.isfinite(values).all(axis=1) & np.isfinite(time))
     good = good[forward(time[good])]

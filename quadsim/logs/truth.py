@@ -238,7 +238,7 @@ class GyroBias(NamedTuple):
     def significant(self) -> Array:
         """Mean bias on axes where it differs significantly from zero, and 0 elsewhere (3,) [rad/s].
 
-        NaN if unknown.
+        The bias is NaN if it is unknown.
         """
         return np.where(np.abs(self.mean) <= self.half_width, 0.0, self.mean)
 

@@ -127,7 +127,7 @@ class Results:
     def partial(self) -> str:
         """The missing part of the held-out suite in words.
 
-        Empty if nothing is missing, or for another experiment.
+        The text is empty if nothing is missing, and for other experiments.
         """
         if not self.experiment.held_out:
             return ""

@@ -160,7 +160,7 @@ def _crash_cell(entry: Entry) -> Cell:
 def loop_errors(entry: Entry) -> Summary | None:
     """Return the mean error of each scenario over flights without a crash [°].
 
-    None if all flights crashed.
+    The error is None if all flights crashed.
     """
     survived: Any = flights_of([entry]).query("cause == ''").groupby("scenario", sort=False)
     means = survived[ERROR].mean().dropna().to_numpy()

@@ -225,7 +225,7 @@ def test_bench_leaves_the_slow_out_and_its_reports_say_how_they_were_made(printe
     monkeypatch.setattr("estimators.names", lambda: ["truth", "mahony", "ukf-filterpy"])
     flown = ["--scenario", "hover", "--seeds", 1, "--duration", 0.5, "--workers", 1, "--out", tmp_path]
     out = printed("bench", *flown)
-    assert "Without ukf-filterpy (ten times as slow as ekf-filterpy), att-snn (the" in out
+    assert "Not included: ukf-filterpy (ten times as slow as ekf-filterpy), att-snn (the" in out
     assert "2 flights, 1 s in the air; " in out
     assert "The airframe is hummingbird. Its drag is known. The IMU is adis16448." in out
     text = (tmp_path / "report.html").read_text()

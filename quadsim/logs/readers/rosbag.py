@@ -104,7 +104,7 @@ def _open_bag(path: Path) -> Iterator[Opened]:
 def _topic(topics: list[Topic], path: Path, asked: str | None, kinds: list[str]) -> Topic | None:
     """Return the requested topic or, by default, the topic of the first kind with most messages.
 
-    None if there is none.
+    The result is None if there is none.
     """
     found = [each for each in topics if each.kind in kinds and asked in (None, each.name)]
     if asked is not None and not found:
