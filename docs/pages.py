@@ -1,12 +1,12 @@
-"""Measured parts of pages: templates that scripts fill with what they measure.
+"""Measured parts of pages: templates that scripts fill with measurements.
 
     python docs/pages.py filters loihi      # measures, and writes these parts of their pages
     python docs/pages.py --check            # fails for parts edited since they were made; lists older ones
     python docs/pages.py --stamp filters    # accepts an edit of a part
 
-The part NAME is docs/parts/NAME.md, filled with the tables and sentences that its function returns. It stands
-in its page between the line <!-- part NAME --> and its stamp: the command, the commit that made it, a
-fingerprint of the code and assets that it was made by, and a digest of its text and pictures.
+The template of part NAME is docs/parts/NAME.md. A function returns the tables and sentences that fill it. In
+its page, the part is between the line <!-- part NAME --> and its stamp. The stamp contains the command, the
+commit, a fingerprint of code and assets, and a digest of text and pictures.
 """
 
 import argparse
@@ -226,6 +226,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     if unknown := set(given.names) - set(PARTS):
         parser.error(f"no part {', '.join(unknown)}; there are {', '.join(PARTS)}")
+    if given.stamp and not given.names:
+        parser.error(f"--stamp needs the names of the parts to accept: {', '.join(PARTS)}")
     for part in map(Part, given.names):
         if given.stamp:
             part.restamp()

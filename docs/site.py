@@ -32,16 +32,38 @@ from training.config import CircuitTraining, TrainingRecipe
 
 ROOT = Path(__file__).parents[1]
 KINDS: dict[str, tuple[type[BaseModel], str]] = {
-    "vehicle": (Vehicle, "A multirotor: `assets/vehicles/`, `--set vehicle=`."),
-    "imu": (ImuSpec, "An IMU and its errors: `assets/imus/`, `--set imu=`."),
-    "external": (ExternalSpec, "Sensor of position, velocity, yaw: `assets/externals/`, `--set external=`."),
-    "recipe": (Recipe, "What `quadsim generate` simulates: `assets/recipes/`, `--recipe`."),
-    "scenario": (Scenario, "What `quadsim fly` and `quadsim bench` simulate: `scenarios/`."),
-    "preset": (CircuitTraining, "How the circuit is trained: `assets/presets/`, `--preset`, `--set`."),
-    "preset of a network of layers": (TrainingRecipe, "How a network of layers is trained: the same."),
-    "tuning": (Tuned, "A filter's parameters, a table for each: `assets/tuning/`, `--set tuning=`."),
-    "held-out": (HeldOut, "A held-out suite: `assets/held-out/`."),
-    "task": (Task, "A task that others enter: `assets/tasks/`, `quadsim bench --task`."),
+    "vehicle": (Vehicle, "A multirotor, given by `--set vehicle=`. Shipped files: `assets/vehicles/`."),
+    "imu": (ImuSpec, "An IMU and its errors, given by `--set imu=`. Shipped files: `assets/imus/`."),
+    "external": (
+        ExternalSpec,
+        "A sensor of position, velocity and yaw, given by `--set external=`. Shipped files: "
+        "`assets/externals/`.",
+    ),
+    "recipe": (
+        Recipe,
+        "Flights that `quadsim generate` simulates, given by `--recipe`. Shipped files: `assets/recipes/`.",
+    ),
+    "scenario": (
+        Scenario,
+        "A flight that `quadsim fly` and `quadsim bench` simulate. Shipped files: `scenarios/`.",
+    ),
+    "preset": (
+        CircuitTraining,
+        "Settings for the training of a circuit, given by `--preset` and changed by `--set`. Shipped files: "
+        "`assets/presets/`.",
+    ),
+    "preset of a network of layers": (
+        TrainingRecipe,
+        "Settings for the training of a network of layers, given by `--preset` and changed by `--set`. "
+        "Shipped files: `assets/presets/`.",
+    ),
+    "tuning": (
+        Tuned,
+        "Parameters of filters, one table per filter, given by `--set tuning=`. Shipped files: "
+        "`assets/tuning/`.",
+    ),
+    "held-out": (HeldOut, "A held-out suite. Shipped files: `assets/held-out/`."),
+    "task": (Task, "A benchmark task, given by `quadsim bench --task`. Shipped files: `assets/tasks/`."),
 }
 """Kinds of TOML files, the model that checks each, and where it is used."""
 BLOCK = re.compile(

@@ -1,4 +1,4 @@
-"""Attitude estimators: everything that runs at inference."""
+"""Attitude estimators: filters and networks, with their evaluation, tuning and export."""
 
 from .checking import check_estimator
 from .filters.parameter import Parameter

@@ -1,8 +1,8 @@
-"""One colour, dash and marker per estimator, the same in every figure, page and report.
+"""Colour, dash and marker of each estimator, the same in every figure, page and report.
 
-The hues are distinct for normal sight, protanopia and deuteranopia, and show on white and on the reports'
-dark background; tests/estimators/test_appearance.py has the measures. Estimators that share a hue differ in
-dash and in marker.
+The hues are distinct for normal sight, protanopia and deuteranopia, and visible on white and on the dark
+background of reports (tests/estimators/test_appearance.py). Estimators with the same hue differ in dash and
+marker.
 """
 
 from collections.abc import Iterable
@@ -14,7 +14,7 @@ DASHED, DASHDOT, DOTTED = (5.0, 2.0), (5.0, 1.5, 1.0, 1.5), (1.0, 1.5)
 LOOSE, DOUBLE = (3.0, 3.0), (5.0, 1.5, 1.0, 1.5, 1.0, 1.5)
 DASHES = (SOLID, DASHED, DASHDOT, DOTTED, LOOSE, DOUBLE)
 MARKERS = "osD^vP<>X*phd"
-"""As matplotlib names them; the browser's are in scenarios/report/js/markers.js."""
+"""Markers in matplotlib's notation; scenarios/report/js/markers.js has those of the browser."""
 GREY = "#757b83"
 AMBER, WINE, MAUVE, MAGENTA = "#cc8400", "#9c5460", "#b484b4", "#c0189c"
 INDIGO, SKY, TEAL, GREEN = "#6054e4", "#3090fc", "#18a884", "#3c7830"
@@ -23,7 +23,7 @@ HUES = (OLIVE, AMBER, WINE, MAUVE, MAGENTA, INDIGO, SKY, TEAL, GREEN, RED, CORAL
 
 
 class Look(NamedTuple):
-    """How one estimator is drawn."""
+    """Style of one estimator in figures."""
 
     colour: str  #: "#rrggbb"
     dash: tuple[float, ...]  #: lengths on and off [line widths]; empty for a solid line
@@ -31,7 +31,7 @@ class Look(NamedTuple):
 
     @property
     def points(self) -> dict[str, Any]:
-        """Keywords of matplotlib's `plot` for a line with markers."""
+        """Keyword arguments of matplotlib's `plot` for a line with markers."""
         dash = (0, self.dash) if self.dash else "-"
         return {"color": self.colour, "linestyle": dash, "marker": self.marker}
 
@@ -55,19 +55,19 @@ FIXED = {
     "att-snn-loihi": Look(RED, SOLID, "o"),
     "att-snn-paper": Look(RED, DOTTED, "D"),
 }
-"""Of the estimators and weights that ship."""
+"""Styles of shipped estimators and weights."""
 
 
 def look(name: str) -> Look:
-    """How an estimator is drawn where no more than one of a user's own is in the figure."""
+    """Return the style of an estimator, for figures with at most one estimator of the user."""
     return FIXED.get(name, Look(OLIVE, SOLID, "o"))
 
 
 def looks(names: Iterable[str]) -> dict[str, Look]:
-    """How the estimators of one figure are drawn, in any order of their names.
+    """Return the styles of the estimators in one figure; they do not depend on the order of the names.
 
-    A user's own have hues that no other in the figure has, olive first, while there are such, and then
-    differ in dash and marker.
+    A user's estimators have hues that are not used otherwise in the figure, olive first. If there are no more
+    hues, they differ in dash and marker.
     """
     shown = list(dict.fromkeys(names))
     taken = {look(name).colour for name in shown if name in FIXED}

@@ -1,4 +1,4 @@
-"""Checks of an estimator of one's own: what every caller relies on, with the first that fails named."""
+"""Checks of a user's estimator against the protocol `AttitudeEstimator`."""
 
 from collections.abc import Callable
 
@@ -19,26 +19,31 @@ Array = NDArray[np.float64]
 Make = Callable[[], AttitudeEstimator]
 SAMPLES, VEHICLES = 240, 3
 SAME = 1e-9
-"""Largest difference between numbers that should be the same [rad]."""
+"""Largest difference between numbers that should be equal [rad]."""
 
 
 def check_estimator(
     estimator: str | Callable[[float], AttitudeEstimator], rate_hz: float = 200.0, *, accurate: bool = True
 ) -> None:
-    """Raise unless an estimator does what benchmark, evaluation and environment rely on.
+    """Check that an estimator fulfils the requirements of benchmark, evaluation and environment.
 
-    Its outputs have the right shape, are finite, and stay so after missing samples (NaN); at rest they
-    are the tilt; n vehicles at once give the numbers of n alone; the same input gives the same output,
-    after a reset too; instances share no state; arrays that it is given are not changed; a known initial
-    attitude can be given.
+    The requirements are:
+
+    - Outputs have the right shape and are finite, even after missing samples (NaN).
+    - At rest, the outputs are the tilt of the vehicle.
+    - n vehicles in one batch give the same numbers as n single vehicles.
+    - The same input gives the same output, also after a reset.
+    - Instances share no state.
+    - The estimator does not change its input arrays.
+    - `reset` accepts a known initial attitude.
 
     Args:
         estimator: A class or function called with `rate_hz`, or a name as `estimators.create` takes it.
         rate_hz: Samples per second.
-        accurate: Whether the tilt at rest counts.
+        accurate: Whether to check the tilt at rest.
 
     Raises:
-        ValueError: The check that fails, and what was seen.
+        ValueError: A check fails; the message names the check and the observed values.
     """
     name = estimator if isinstance(estimator, str) else getattr(estimator, "__name__", str(estimator))
 
@@ -89,7 +94,7 @@ def _repeatable(make: Make) -> str:
 
 
 def _instances_apart(make: Make) -> str:
-    """Two instances that take turns, and one that is alone."""
+    """Compare two instances that take turns with a single one."""
     motion, first, second = _motion(), make(), make()
     if receives_truth(first):
         return ""
@@ -139,11 +144,11 @@ CHECKS: dict[Callable[[Make], str], str] = {
     _missing_samples: "samples of NaN are bridged",
     _known_start: "reset accepts roll_pitch (n, 2)",
 }
-"""Each returns what it saw that it should not; empty if nothing."""
+"""Checks, each of which returns a description of its failure, empty if there is none."""
 
 
 def _motion() -> Readings:
-    """Readings of vehicles that swing about roll and pitch, (VEHICLES, SAMPLES, 3) each."""
+    """Return readings of vehicles that swing about roll and pitch, (VEHICLES, SAMPLES, 3) each."""
     t, phase = np.arange(SAMPLES) / 200.0, np.arange(VEHICLES)[:, None]
     roll, pitch = 0.4 * np.sin(3.0 * t + phase), 0.3 * np.sin(2.0 * t + 0.5 * phase)
     rate = 1.2 * np.cos(3.0 * t + phase), 0.6 * np.cos(2.0 * t + 0.5 * phase)
@@ -157,7 +162,7 @@ def _estimates(
     start: Array | None = None,
     tilt: ArrayLike = (0.0, 0.0),
 ) -> Array:
-    """Of the motion above, or of other readings; an estimator that is fed the truth is given a tilt."""
+    """Return estimates for the readings of `_motion` or for other readings."""
     readings = _motion() if readings is None else readings
     truth = np.tile(quat_from_roll_pitch(tilt), (*readings.gyro.shape[:2], 1))
     return run_quietly(est, readings, start, truth)

@@ -1,4 +1,4 @@
-"""A user's own estimator: a class that "module:Class", "file.py:Class" or an entry point names."""
+"""A user's estimator, named by "module:Class", "file.py:Class" or an entry point."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -13,19 +13,19 @@ from quadsim.vehicle import GRAVITY
 from .filters.parameter import Parameter
 
 GROUP = "quadsim.estimators"
-"""Group of the entry points by which an installed package offers estimators."""
+"""Group of entry points for estimators of installed packages."""
 
 
 def is_custom(name: str) -> bool:
-    """Whether a name is of a user's own estimator."""
+    """Return whether a name refers to a user's estimator."""
     return is_own(name, GROUP)
 
 
 def declared(name: str) -> dict[str, Parameter]:
-    """Parameters that a user's class declares: its `parameters`, a mapping of `Parameter` by keyword.
+    """Return the attribute `parameters` of a user's class, a mapping of `Parameter` by keyword.
 
     Raises:
-        ValueError: No such class, or it declares something else.
+        ValueError: The class does not exist, or its declaration is invalid.
     """
     made: Any = load_own(name, GROUP)
     found = getattr(made, "parameters", None) if isinstance(made, type) else None
@@ -41,16 +41,16 @@ def declared(name: str) -> dict[str, Parameter]:
 def made_by(
     name: str, made: Callable[..., AttitudeEstimator], rate_hz: float, values: Mapping[str, Any]
 ) -> AttitudeEstimator:
-    """A user's estimator, tried.
+    """Make and test a user's estimator.
 
     Args:
-        name: What to call it in an error.
-        made: Its class, or a function that makes it.
-        rate_hz: Samples per second, its only positional argument.
-        values: Its keywords: declared parameters, and the `vehicle` where it asks for the airframe.
+        name: Name of the estimator in error messages.
+        made: Class, or function that makes the estimator.
+        rate_hz: Samples per second, the only positional argument.
+        values: Keyword arguments: declared parameters, and `vehicle` if the class asks for the airframe.
 
     Raises:
-        ValueError: What it makes is no estimator.
+        ValueError: The result is not an estimator.
     """
     arguments = ", ".join(["one argument, rate_hz", *(f"{key}=" for key in values)])
     with named_errors(f"{name} is made with {arguments}, and", passing=()):
@@ -62,10 +62,10 @@ def made_by(
 
 
 def tried(name: str, est: AttitudeEstimator) -> AttitudeEstimator:
-    """A user's estimator, after a reset of three vehicles and an update at rest.
+    """Test a user's estimator with a reset of three vehicles and an update at rest.
 
     Raises:
-        ValueError: It is no estimator: what it lacks, or what it did.
+        ValueError: The object is not an estimator; the message says what is missing or wrong.
     """
     if missing := [each for each in ("reset", "update") if not callable(getattr(est, each, None))]:
         raise ValueError(f"{name} is no estimator: it has no {' and no '.join(missing)}")
@@ -81,5 +81,5 @@ def tried(name: str, est: AttitudeEstimator) -> AttitudeEstimator:
 
 
 def own_sources(name: str) -> list[Path]:
-    """Files of the user's that an estimator of theirs comes from; none for other names."""
+    """Return the user's files that define an estimator; none for other names."""
     return own_files(name, GROUP) if is_custom(name) else []

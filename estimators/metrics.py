@@ -1,7 +1,7 @@
-"""How wrong an attitude estimate is. One set of functions for every table and figure.
+"""Errors of attitude estimates, used for every table and figure.
 
-An estimate that is not a finite number, or beyond ±`RANGE`, where the truth is known is 180° wrong. Where the
-truth is not known, NaN, there is no error, and nothing is counted.
+An estimate that is not finite or beyond ±`RANGE` counts as an error of 180°. Samples with unknown truth (NaN)
+are not counted.
 """
 
 from dataclasses import dataclass
@@ -12,22 +12,22 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 RANGE = 100.0
-"""Largest roll or pitch that counts as an angle [rad]: filters that do not wrap may count several turns, but
-differences of much larger numbers modulo 2π are rounding errors."""
+"""Largest roll or pitch that counts as an angle [rad]. Filters that do not wrap may exceed ±π, but for much
+larger numbers, differences modulo 2π are dominated by rounding."""
 LEVEL, RESAMPLES = 0.95, 10_000
-"""Of the bootstrapped intervals."""
+"""Resamples and confidence level of the bootstrap."""
 MOTION = 1e-6
-"""Largest change of the truth at which a flight counts as motionless [rad]."""
+"""Change of the truth up to which a flight counts as motionless [rad]."""
 CONSTANT = 0.01
-"""Share of the truth's change up to which a change of the estimate counts as none."""
+"""Share of the change of the truth up to which an estimate counts as constant."""
 
 
 @dataclass(frozen=True)
 class Summary:
-    """One number per sequence, and how it spreads over the sequences."""
+    """Statistics over sequences of one number per sequence."""
 
     sequences: Array
-    """(n,), the number of each sequence."""
+    """Number of each sequence, (n,)."""
 
     @property
     def median(self) -> float:
@@ -41,11 +41,11 @@ class Summary:
 
     @property
     def sd(self) -> float:
-        """Standard deviation over sequences (of the sample, n − 1); 0 for a single one."""
+        """Sample standard deviation over sequences (n − 1); 0 for a single one."""
         return float(np.std(self.sequences, ddof=1)) if self.sequences.size > 1 else 0.0
 
     def mean_interval(self, seed: int = 0) -> tuple[float, float]:
-        """Bootstrap confidence interval of the mean over sequences (percentile method)."""
+        """Return the bootstrap confidence interval of the mean over sequences (percentile method)."""
         n = self.sequences.size
         draws = np.random.default_rng(seed).integers(0, n, (RESAMPLES, n))
         low, high = np.quantile(self.sequences[draws].mean(axis=1), [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL])
@@ -53,31 +53,34 @@ class Summary:
 
 
 def absolute_error(estimate: ArrayLike, truth: ArrayLike) -> Array:
-    """Absolute error of roll and of pitch [deg], shape (..., 2), from angles in radians; at most 180."""
+    """Return the absolute error of roll and of pitch [deg], shape (..., 2), from angles [rad].
+
+    At most 180°.
+    """
     estimate, truth = _pair(estimate, truth)
     difference = np.where(_angles(estimate)[..., None], estimate, truth + np.pi) - truth
     return np.degrees(np.abs(difference - 2.0 * np.pi * np.round(difference / (2.0 * np.pi))))
 
 
 def attitude_error(estimate: ArrayLike, truth: ArrayLike) -> Summary:
-    """Mean absolute error of roll and pitch, pooled, of each sequence [deg].
+    """Return the mean absolute error of each sequence, with roll and pitch pooled [deg].
 
     Args:
         estimate: Roll and pitch (n, T, 2) [rad].
-        truth: The same, true; NaN where it is not known, and such samples are not counted.
+        truth: True roll and pitch, same shape. Samples with NaN are not counted.
     """
     return Summary(np.nanmean(absolute_error(estimate, truth), axis=(-2, -1)).reshape(-1))
 
 
 def inclination_error(estimate: ArrayLike, truth: ArrayLike) -> Array:
-    """Angle between the estimated and the true direction of gravity in body axes [deg], shape (...).
+    """Return the angle between estimated and true direction of gravity in body axes [deg], shape (...).
 
-    The inclination part of the BROAD benchmark's error (Laidig et al. 2021), 2 arccos √(w² + z²) of the error
-    quaternion in world axes, which no yaw changes.
+    This is the inclination error of the BROAD benchmark (Laidig et al. 2021), 2 arccos √(w² + z²) of the
+    error quaternion in world axes, which does not depend on yaw.
 
     Args:
         estimate: Roll and pitch (..., 2) [rad].
-        truth: The same, true; NaN gives NaN.
+        truth: True roll and pitch, same shape; NaN gives NaN.
     """
     estimate, truth = _pair(estimate, truth)
     sound = _angles(estimate)[..., None]
@@ -87,16 +90,16 @@ def inclination_error(estimate: ArrayLike, truth: ArrayLike) -> Array:
 
 
 def inclination_rmse(estimate: ArrayLike, truth: ArrayLike) -> Summary:
-    """RMS over time of the inclination error of each sequence [deg], from roll and pitch (n, T, 2) [rad]."""
+    """Return the RMS inclination error of each sequence [deg], from roll and pitch (n, T, 2) [rad]."""
     return Summary(np.sqrt(np.nanmean(inclination_error(estimate, truth) ** 2, axis=-1)).reshape(-1))
 
 
 def share_without_number(estimate: ArrayLike, truth: ArrayLike) -> float:
-    """Share of the samples with a known truth that count as 180° wrong, 0…1; 0 without any.
+    """Return the share of samples with known truth that count as an error of 180°, 0…1.
 
     Args:
         estimate: Roll and pitch (..., 2) [rad].
-        truth: The same, true; NaN where it is not known.
+        truth: True roll and pitch, same shape; NaN if unknown.
     """
     estimate, truth = _pair(estimate, truth)
     known = _angles(truth)
@@ -104,14 +107,14 @@ def share_without_number(estimate: ArrayLike, truth: ArrayLike) -> float:
 
 
 def flaw_of(estimate: ArrayLike, truth: ArrayLike) -> str:
-    """Why an estimator must not be ranked by its estimates, to follow its name in a sentence; "" if it may.
+    """Return why an estimator must not be ranked, as the end of a sentence after its name; "" if it may be.
 
-    It may not if a roll or pitch is not a finite number or is beyond ±`RANGE`, or if the estimates are
-    constant (up to `CONSTANT`) in every flight in which the truth moves.
+    An estimator must not be ranked if a roll or pitch is not finite or is beyond ±`RANGE`, or if its
+    estimates are constant (up to `CONSTANT`) in every flight with motion.
 
     Args:
         estimate: Roll and pitch (n, T, 2) or (T, 2) [rad].
-        truth: The same, true; samples of NaN are not counted.
+        truth: True roll and pitch, same shape; samples with NaN are not counted.
     """
     estimate, truth = (each.reshape(-1, *each.shape[-2:]) for each in _pair(estimate, truth))
     known = _angles(truth)
@@ -129,14 +132,14 @@ def flaw_of(estimate: ArrayLike, truth: ArrayLike) -> str:
 
 
 def up_in_body(roll_pitch: ArrayLike) -> Array:
-    """Direction of the world's z axis in body axes, (..., 3), of roll and pitch (..., 2) [rad]."""
+    """Return the world's z axis in body axes, (..., 3), from roll and pitch (..., 2) [rad]."""
     angles = np.asarray(roll_pitch, dtype=np.float64)
     roll, pitch = angles[..., 0], angles[..., 1]
     return np.stack([-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)], axis=-1)
 
 
 def _angles(values: Array) -> NDArray[np.bool_]:
-    """Samples whose roll and pitch are both finite and within ±`RANGE`, (...)."""
+    """Return which samples have finite roll and pitch within ±`RANGE`, (...)."""
     return np.asarray((np.abs(values) <= RANGE).all(axis=-1))
 
 
@@ -146,7 +149,7 @@ def _percent(which: NDArray[np.bool_]) -> str:
 
 
 def _span(angles: Array) -> float:
-    """Largest change of roll or pitch over samples (k, 2) [rad]; 0 without any."""
+    """Return the largest change of roll or pitch over samples (k, 2) [rad]; 0 without samples."""
     return float(np.ptp(angles, axis=0).max()) if len(angles) else 0.0
 
 

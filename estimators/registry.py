@@ -1,4 +1,4 @@
-"""Estimators by name: make one with its parameters."""
+"""Making of estimators by name, with their parameters."""
 
 import importlib
 import math
@@ -26,9 +26,9 @@ from .networks.weights_file import END, load_network, shipped_controllers, shipp
 from .tuned import tuned_for
 
 VehicleLike = str | Path | Vehicle | None
-"""An airframe by its name, file or model; None where it is not known."""
+"""An airframe by name, file or model; None if it is not known."""
 ImuLike = str | Path | ImuSpec | None
-"""An IMU in the same ways."""
+"""An IMU by name, file or model; None if it is not known."""
 
 
 @dataclass(frozen=True)
@@ -36,9 +36,9 @@ class Entry:
     """A table of `assets/estimators.toml`."""
 
     description: str
-    """A sentence."""
+    """Description in one sentence."""
     made_by: str
-    """ "module:Class" in this package, called with name, rate_hz and values; empty for a network."""
+    """ "module:Class" in this package, which is called with name, rate_hz and values; empty for a network."""
     parameters: Mapping[str, Parameter]
 
 
@@ -48,27 +48,27 @@ def _entry(description: str, made_by: str = "", parameters: Mapping[str, Any] | 
 
 _TABLES = tomllib.loads((ASSETS / "estimators.toml").read_text("utf-8"))
 SHIPPED = {name: _entry(**table) for name, table in _TABLES.items()}
-"""What ships, in the order of `names()`."""
+"""Shipped estimators, in the order of `names()`."""
 FILTERPY = ("ekf-filterpy", "ukf-filterpy")
 COPIES = {"ekf-filterpy": "ekf"}
-"""Estimators that repeat another's numbers, to compare with: no table ranks them beside it."""
+"""Estimators that give the same numbers as another one and are therefore not ranked in tables with it."""
 NETWORKS = tuple(name for name, entry in SHIPPED.items() if not entry.made_by)
 DEFAULT_RATE_HZ = 200.0
-"""Sample rate to which the untuned defaults belong."""
+"""Sample rate of the default parameters."""
 
 
 def names() -> list[str]:
-    """Names of all estimators."""
+    """Return the names of all estimators."""
     return list(SHIPPED)
 
 
 def parameters(name: str) -> Mapping[str, Parameter]:
-    """Numeric parameters of an estimator, with their defaults and the range in which tuning looks for them.
+    """Return the parameters of an estimator, with their defaults and the range that tuning searches.
 
-    Those of your own estimator are what its class declares as `parameters`.
+    For your own estimator, these are the parameters that its class declares as `parameters`.
 
     Raises:
-        ValueError: For an unknown name.
+        ValueError: The name is unknown.
     """
     if is_custom(name):
         return declared(name)
@@ -76,7 +76,7 @@ def parameters(name: str) -> Mapping[str, Parameter]:
 
 
 def is_weights(name: str) -> bool:
-    """Whether a name is that of a network's weights: a path, or a name under which some ship."""
+    """Return whether a name is a path or a shipped name of a network's weights."""
     return name.endswith(".safetensors") or (name in shipped_names() and name not in NETWORKS)
 
 
@@ -92,21 +92,22 @@ def create(
     """Make an estimator.
 
     Args:
-        name: One of `names()`, a network's weights, by the path of a .safetensors file or by a name under
-            which some ship, such as "att-snn-paper"; or your own estimator: "module:Class",
-            "path/file.py:Class" or an entry point of the group "quadsim.estimators". It is made with
-            `rate_hz`, with the parameters that its class declares as keywords, and with `vehicle=`, which may
-            be None, where its `given` names the airframe.
+        name: One of `names()`; the weights of a network, as the path of a .safetensors file or a shipped name
+            such as "att-snn-paper"; or your own estimator, as "module:Class", "path/file.py:Class" or an
+            entry point of the group "quadsim.estimators". Your class is called with `rate_hz` and with its
+            declared parameters as keyword arguments. If its attribute `given` contains "airframe", it is also
+            called with `vehicle=`, which may be None.
         rate_hz: Samples per second.
-        tuning: Where parameters come from that are not given: a shipped domain or a TOML file made by
-            `quadsim tune`; None for the shipped domain of the vehicle and the IMU.
-        vehicle: The airframe, by its name, file or model: shipped parameters are those tuned for it, where
-            there are such, and ekf-drag takes its drag from there. The others need none.
-        imu: The IMU, by its name, file or model.
-        params: The filter's own parameters; for a network `weights`.
+        tuning: Source of parameters that are not given: a shipped domain or a TOML file written by `quadsim
+            tune`. None selects the shipped domain of the vehicle and the IMU.
+        vehicle: The airframe, by name, file or model. It selects the tuned parameters and gives ekf-drag the
+            drag. Other estimators do not need it.
+        imu: The IMU, by name, file or model.
+        params: Parameters of the filter, or `weights` for a network.
 
     Raises:
-        ValueError: For an unknown name or parameter, naming the valid ones, and for values out of range.
+        ValueError: A name or a parameter is unknown, in which case the message lists the valid ones, or a
+            value is out of range.
     """
     if not isinstance(name, str):
         raise ValueError(f"name = {name!r}: should be the name of an estimator, as in names()")
@@ -130,10 +131,10 @@ def create(
 
 
 def loaded(vehicle: VehicleLike, imu: ImuLike) -> tuple[Vehicle | None, ImuSpec | None]:
-    """A vehicle and an IMU, each given by its name, file or model.
+    """Load a vehicle and an IMU, each given by name, file or model.
 
     Raises:
-        ValueError: There is no such one, or what was given is neither.
+        ValueError: The vehicle or the IMU does not exist or has another type.
     """
     for key, value, model in (("vehicle", vehicle, Vehicle), ("imu", imu, ImuSpec)):
         if not isinstance(value, str | Path | model | None):
@@ -145,9 +146,10 @@ def loaded(vehicle: VehicleLike, imu: ImuLike) -> tuple[Vehicle | None, ImuSpec 
 
 
 def tuning_misfit(name: str, tuning: str | Path | None, vehicle: VehicleLike, imu: ImuLike) -> str:
-    """In words, what an estimator's parameters were tuned for and does not fly; empty where all is as tuned.
+    """Describe a mismatch between the vehicle and IMU of the tuning and those of the flights.
 
-    Empty also where what flies is not known; the arguments are those of `create`.
+    The result is empty without a mismatch, and if vehicle or IMU are not known. The arguments are those of
+    `create`.
     """
     airframe, sensor = loaded(vehicle, imu)
     if not (name in names() or is_custom(name)) or not parameters(name) or airframe is None or sensor is None:
@@ -162,9 +164,9 @@ def tuning_misfit(name: str, tuning: str | Path | None, vehicle: VehicleLike, im
 
 
 def training_misfit(name: str, vehicle: VehicleLike) -> str:
-    """In words, the airframes that a network was trained on, where that which flies is none of them.
+    """Describe the airframes of a network's training if the simulated one is not among them; else empty.
 
-    Empty where it is, or where the weights do not say; a name may be a controller's, too.
+    The result is also empty if the weights do not name the airframes. The name can be that of a controller.
     """
     network = name.removesuffix("-loihi")
     if network not in (*NETWORKS, *shipped_names(), *shipped_controllers()) and not network.endswith(END):
@@ -182,7 +184,7 @@ def training_misfit(name: str, vehicle: VehicleLike) -> str:
 def tuned_elsewhere(
     estimators: Iterable[str], tuning: str | Path | None, vehicle: VehicleLike, imu: ImuLike
 ) -> list[str]:
-    """A sentence for each other vehicle or IMU that parameters were tuned for, see `tuning_misfit`."""
+    """Return a sentence for each vehicle or IMU of the tuning that differs; see `tuning_misfit`."""
     found: dict[str, list[str]] = {}
     for name in estimators:
         found.setdefault(tuning_misfit(name, tuning, vehicle, imu), []).append(name)
@@ -190,7 +192,7 @@ def tuned_elsewhere(
 
 
 def parameter_sets(params: Mapping[str, ArrayLike]) -> list[dict[str, float]]:
-    """Columns (p,) as p dictionaries; ValueError if they differ in length."""
+    """Convert columns (p,) to p dictionaries; raise ValueError if the lengths differ."""
     columns = [np.atleast_1d(np.asarray(column, np.float64)) for column in params.values()]
     rows = np.stack(columns, axis=1).tolist() if columns else [[]]
     return [dict(zip(params, row, strict=True)) for row in rows]
@@ -204,7 +206,7 @@ def filter_values(
     vehicle: Vehicle | None = None,
     imu: ImuSpec | None = None,
 ) -> dict[str, float]:
-    """Every parameter of an estimator, in order: what is given, else tuned, else the default."""
+    """Return all parameters of an estimator, in order: the given, tuned or default value."""
     spec = parameters(name)
     given = checked(name, spec, params)
     if not spec:
@@ -225,7 +227,7 @@ def filter_values(
 
 
 def airframe_constants(name: str, vehicle: Vehicle | None) -> dict[str, float]:
-    """Parameters of an estimator that are known of a vehicle."""
+    """Return the parameters of an estimator that follow from a vehicle."""
     if name != "ekf-drag" or vehicle is None:
         return {}
     from .filters.drag.ekf_drag import drag_of
@@ -241,7 +243,7 @@ def _shipped(name: str) -> Entry:
 
 
 def needs_vehicle(name: str) -> bool:
-    """Whether an estimator has parameters that only a vehicle gives."""
+    """Return whether an estimator has parameters that only a vehicle gives."""
     return any(math.isnan(each.default) for each in parameters(name).values())
 
 

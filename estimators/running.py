@@ -1,4 +1,4 @@
-"""Run an estimator over sequences, or many parameter sets of it at once."""
+"""Running of estimators on sequences, also with many parameter sets at once."""
 
 import logging
 import time
@@ -24,8 +24,8 @@ from .registry import VehicleLike, create, parameter_sets
 
 Array = NDArray[np.float64]
 SAME = 1e-4
-"""Largest difference between the two [rad]: less than the last digit of the tables, 0.01°, and more than
-rounding in single precision."""
+"""Largest allowed difference between `update` and `sequence` [rad]: less than 0.01°, and more than rounding
+errors in single precision."""
 
 logger = logging.getLogger(__name__)
 
@@ -38,25 +38,24 @@ def run(
     quat: ArrayLike | None = None,
     **sensors: Unpack[OtherSensors],
 ) -> Array:
-    """Reset an estimator and run it over n sequences; the same numbers as `update` in a loop.
+    """Reset an estimator and run it on n sequences. The results equal those of `update` in a loop.
 
-    What the estimator is given are copies; it cannot change the arguments.
+    The estimator receives copies of the arguments.
 
     Args:
         est: The estimator.
-        gyro: Body rate (n, T, 3) [rad/s]; NaN where a sample is missing.
-        accel: Specific force in body axes (n, T, 3) [m/s²]; NaN where a sample is missing.
-        roll_pitch: Attitude one sample before the first, (n, 2) [rad]; None where it is not known.
-        quat: True quat_WB (n, T, 4), for an estimator that observes the truth.
-        sensors: Further readings, rotor_vel (n, T, rotors) [rad/s] and mag (n, T, 3) [T].
+        gyro: Body rate (n, T, 3) [rad/s]; NaN for missing samples.
+        accel: Specific force in body axes (n, T, 3) [m/s²]; NaN for missing samples.
+        roll_pitch: Attitude one sample before the first, (n, 2) [rad]; None if it is not known.
+        quat: True quat_WB (n, T, 4), for an estimator that is given the true attitude.
+        sensors: Further readings: rotor_vel (n, T, rotors) [rad/s] and mag (n, T, 3) [T].
 
     Returns:
         Roll and pitch (n, T, 2) [rad].
 
     Raises:
-        ValueError: For shapes that do not fit, an estimator that observes the truth and is given none, and
-            one of the user's that fails, does not return real numbers (n, 2), or whose `sequence` differs
-            from its `update`.
+        ValueError: A shape does not fit, or the estimator needs `quat`, or a user's estimator fails, returns
+            something other than real numbers (n, 2), or has a `sequence` whose results differ from `update`.
     """
     out, _ = run_checked(est, _sequences(gyro, accel, **sensors), roll_pitch, quat)
     skipped = missing_samples(est)
@@ -76,13 +75,13 @@ def run_checked(
     roll_pitch: ArrayLike | None = None,
     quat: ArrayLike | None = None,
 ) -> tuple[Array, float]:
-    """Roll and pitch (n, T, 2) [rad], and the time that they took [s].
+    """Run an estimator as `run` does; return roll and pitch (n, T, 2) [rad] and the elapsed time [s].
 
-    An estimator of the user's that has a `sequence` is streamed over the first sequence, too: its `update`
-    flies, and has to give the same.
+    If a user's estimator has a `sequence`, its `update` is also run on the first sequence, and the results
+    must agree.
 
     Raises:
-        ValueError: As of `run`, whose arguments these are.
+        ValueError: As in `run`, which has the same arguments.
     """
     streamed = None
     if not (_ships(est) or receives_truth(est)) and getattr(est, "sequence", None) is not None:
@@ -105,7 +104,7 @@ def run_quietly(
     roll_pitch: ArrayLike | None = None,
     quat: ArrayLike | None = None,
 ) -> Array:
-    """`run`, for a caller that reports `missing_samples` and checks a user's `sequence` itself."""
+    """Run an estimator as `run` does, without warnings or the check of a user's `sequence`."""
     sequence = None if receives_truth(est) else getattr(est, "sequence", None)
     with _named(est):
         if sequence is None:
@@ -117,7 +116,7 @@ def run_quietly(
 
 
 def differ(a: Array, b: Array, most: float) -> str:
-    """By how much two estimates [rad] differ, in words; empty if by no more than `most` anywhere."""
+    """Describe the difference between two estimates [rad]; empty if it is nowhere larger than `most`."""
     difference = np.abs(a - b)
     largest = np.degrees(np.max(difference, initial=0.0, where=np.isfinite(difference)))
     alike = np.array_equal(np.isfinite(a), np.isfinite(b))
@@ -127,7 +126,7 @@ def differ(a: Array, b: Array, most: float) -> str:
 def stream(
     est: AttitudeEstimator, readings: Readings, roll_pitch: ArrayLike | None, quat: ArrayLike | None = None
 ) -> Array:
-    """`run` by `update` alone."""
+    """Run an estimator as `run` does, but only with `update`."""
     n, steps = readings.gyro.shape[:2]
     truth = _truth(quat, (n, steps, 4)) if receives_truth(est) else None
     _reset(est, n, roll_pitch)
@@ -145,17 +144,17 @@ def _reset(est: AttitudeEstimator, n: int, roll_pitch: ArrayLike | None) -> None
 
 
 def _ships(est: AttitudeEstimator) -> bool:
-    """Whether an estimator is one of this package."""
+    """Return whether an estimator belongs to this package."""
     return type(est).__module__.startswith("estimators.")
 
 
 def _named(est: AttitudeEstimator) -> AbstractContextManager[None]:
-    """Names an estimator of the user's in whatever it raises."""
+    """Add the name of a user's estimator to the errors that it raises."""
     return nullcontext() if _ships(est) else named_errors(type(est).__name__)
 
 
 def missing_samples(est: AttitudeEstimator) -> int:
-    """Samples of all vehicles since `reset` that were missing in part or whole."""
+    """Return the number of incomplete samples of all vehicles since `reset`."""
     return int(np.sum(getattr(est, "skipped", 0)))
 
 
@@ -169,17 +168,17 @@ def run_batch(
     vehicle: VehicleLike = None,
     **sensors: Unpack[OtherSensors],
 ) -> Array:
-    """Run p parameter sets of one estimator over n sequences.
+    """Run one estimator with p parameter sets on n sequences.
 
     Args:
         name: One of `names()`.
-        params: Parameter name to values (p,); the others keep their default.
+        params: Values (p,) by parameter name; other parameters have their defaults.
         gyro: Body rate (n, T, 3) [rad/s].
         accel: Specific force in body axes (n, T, 3) [m/s²].
         rate_hz: Samples per second.
-        roll_pitch: Attitude one sample before the first, (n, 2) [rad]; None where it is not known.
-        vehicle: As in `create`.
-        sensors: As in `run`.
+        roll_pitch: Attitude one sample before the first, (n, 2) [rad]; None if it is not known.
+        vehicle: The airframe, as in `create`.
+        sensors: Further readings, as in `run`.
 
     Returns:
         Roll and pitch (p, n, T, 2) [rad].

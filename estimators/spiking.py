@@ -1,4 +1,4 @@
-"""The surrogate gradient of a spike, for PyTorch; `training.window_kernels` computes the same."""
+"""The surrogate gradient of a spike for PyTorch, the same as in `training.window_kernels`."""
 
 import torch
 from torch import Tensor
@@ -19,7 +19,7 @@ class _SuperSpike(torch.autograd.Function):
 
 
 def superspike(x: Tensor) -> Tensor:
-    """Heaviside step with the gradient 1 / (1 + 20 |x|)² (Zenke & Ganguli 2018).
+    """Compute a Heaviside step with the surrogate gradient 1 / (1 + 20 |x|)² (Zenke & Ganguli 2018).
 
     Args:
         x: Membrane potential minus threshold, any shape.

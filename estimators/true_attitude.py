@@ -1,4 +1,4 @@
-"""The true attitude as an estimator: the reference that a closed loop is compared with."""
+"""The true attitude as an estimator, a reference for flights in closed loop."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,15 +11,15 @@ Array = NDArray[np.float64]
 
 
 class Truth(BatchedFilter):
-    """Roll and pitch of the quaternion that `observe` was last given; no sensor is used."""
+    """Returns roll and pitch of the quaternion last given to `observe`; no sensor is used."""
 
     @property
     def quat(self) -> Array:
-        """That quat_WB (n, 4)."""
+        """Last true quat_WB (n, 4)."""
         return self.state
 
     def observe(self, quat: Array) -> None:
-        """Take the true quat_WB (n, 4); call it just before `update`."""
+        """Store the true quat_WB (n, 4); call this just before `update`."""
         self.state = np.array(quat, dtype=np.float64)
 
     def _started(self, quat: Array, known: bool) -> Array:

@@ -1,4 +1,4 @@
-"""Tuned parameters: TOML files, one a domain (vehicle and IMU), with one table per estimator."""
+"""Tuned parameters: TOML files, one per domain (vehicle and IMU), with one table per estimator."""
 
 from pathlib import Path
 from typing import Annotated
@@ -12,11 +12,12 @@ from quadsim.imu.spec import ImuSpec, load_imu
 from quadsim.vehicle import Vehicle
 
 DEFAULT_DOMAIN, ANY_VEHICLE = "hummingbird-adis16448", "general"
-"""Domains whose shipped parameters an estimator has for a vehicle that none is for: the first that has it."""
+"""Domains whose shipped parameters are used for a vehicle without its own: the first with a table for the
+estimator."""
 
 
 class Tuned(Strict):
-    """Parameters of one estimator, and how they were found."""
+    """Parameters of one estimator, with their origin."""
 
     command: str = Field(description="Command that wrote this table.")
     vehicle: str = Field(default="", description="Name of the vehicle; empty if unknown.")
@@ -30,14 +31,14 @@ class Tuned(Strict):
 
 
 class Tuning(RootModel[dict[str, Tuned]]):
-    """A whole file: estimator name to its table."""
+    """A tuning file: a table per estimator."""
 
 
 def load_tuning(source: str | Path) -> dict[str, Tuned]:
-    """Tuned parameters of every estimator in a shipped domain or a file.
+    """Load the tuned parameters of every estimator in a shipped domain or a file.
 
     Raises:
-        ValueError: One line that says what is wrong with the file.
+        ValueError: The file is invalid.
     """
     return load_toml(source, "tuning", Tuning).root
 
@@ -48,17 +49,17 @@ def tuned_for(
     vehicle: Vehicle | None = None,
     imu: ImuSpec | None = None,
 ) -> Tuned | None:
-    """Table of one estimator; None where there is none and no file was asked for by name.
+    """Return the table of one estimator; None if there is none and no source was named.
 
     Args:
         name: Estimator.
-        source: Domain, path of a TOML file, or None for the shipped domain of the vehicle and the IMU, else
-            of the vehicle, else the default ones.
+        source: Domain, or path of a TOML file. None selects the shipped domain of vehicle and IMU or, if
+            there is none, of the vehicle or the default ones.
         vehicle: The airframe, if it is known.
-        imu: Its IMU.
+        imu: The IMU, if it is known.
 
     Raises:
-        ValueError: A file was asked for and does not have the estimator, or cannot be read.
+        ValueError: The named source cannot be read or has no table of the estimator.
     """
     if source is not None:
         tables = load_tuning(source)
@@ -72,7 +73,10 @@ def tuned_for(
 
 
 def to_toml(tables: dict[str, Tuned], comment: str) -> str:
-    """Text of a tuning file, with a comment on top; what may not stand in a comment is left out."""
+    """Return the text of a tuning file with a comment at the top.
+
+    Invalid characters in the comment are dropped.
+    """
     shown = "".join(each for each in comment if each.isprintable() or each in "\n\t")
     head = "".join(f"# {line}".rstrip() + "\n" for line in shown.split("\n"))
     text = head + "\n" + tomli_w.dumps({name: table.model_dump() for name, table in tables.items()})

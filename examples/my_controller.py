@@ -1,20 +1,20 @@
-"""An attitude controller of your own: PD on roll and pitch, and a slow integral.
+"""A template for your own attitude controller: PD on roll and pitch, and a slow integral.
 
     quadsim bench --controller examples/my_controller.py:make --controller cascaded --scenario step
 
-The cascade's levels of position and velocity stay in front of it and give the set-point; the allocation of
-rotor speeds stays behind it.
+The position and velocity loops of the cascade compute the set-point; the allocation converts the command to
+rotor speeds.
 """
 
 import numpy as np
 
 
 class MyController:
-    """Gains are those of a critically damped second-order system.
+    """An attitude controller with the gains of a critically damped second-order system.
 
     Args:
         rate_hz: Samples per second.
-        bandwidth: Of roll and pitch [rad/s].
+        bandwidth: Bandwidth of roll and pitch [rad/s].
     """
 
     def __init__(self, rate_hz: float, bandwidth: float = 12.0) -> None:
@@ -26,7 +26,10 @@ class MyController:
         self.trim = np.zeros((n, 2))
 
     def update(self, set_point, gyro, accel, roll_pitch):
-        """Angular acceleration [rad/s²] and thrust per mass [m/s²], (n, 4); see `AttitudeController`."""
+        """Return angular acceleration [rad/s²] and thrust per mass [m/s²], (n, 4).
+
+        See `AttitudeController`.
+        """
         error = set_point[:, :2] - roll_pitch
         self.trim = np.clip(self.trim + 10.0 * self.dt * error, -5.0, 5.0)
         action = np.empty((len(gyro), 4))
@@ -37,5 +40,5 @@ class MyController:
 
 
 def make(rate_hz, vehicle):
-    """The controller for a vehicle; called once for each mission."""
+    """Make the controller for a vehicle; called once per mission."""
     return MyController(rate_hz)

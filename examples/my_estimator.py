@@ -1,9 +1,9 @@
-"""An attitude estimator of your own, as a template: a complementary filter with one parameter.
+"""A template for your own attitude estimator: a complementary filter with one parameter.
 
     quadsim bench --scenario hover --estimator examples/my_estimator.py:MyEstimator --estimator eskf
     quadsim tune --estimator examples/my_estimator.py:MyEstimator --data data/train.zarr --out mine.toml
 
-`estimators.check_estimator("examples/my_estimator.py:MyEstimator")` says what is wrong with it, if anything.
+`estimators.check_estimator("examples/my_estimator.py:MyEstimator")` checks the estimator.
 """
 
 import numpy as np
@@ -12,26 +12,29 @@ from estimators import Parameter
 
 
 class MyEstimator:
-    """The gyroscope for short times, gravity for long ones.
+    """A complementary filter, which follows the gyroscope for short times and gravity for long ones.
 
     Args:
         rate_hz: Samples per second.
-        time_constant: Time after which gravity counts more than the gyroscope [s].
+        time_constant: Time constant of the correction by gravity [s].
     """
 
     parameters = {"time_constant": Parameter(default=2.0, low=0.1, high=20.0)}  # noqa: RUF012
-    """What `quadsim tune` searches, by keyword; leave it out if there is nothing to tune."""
+    """Parameters that `quadsim tune` searches, by keyword; omit this if there is nothing to tune."""
 
     def __init__(self, rate_hz, time_constant=2.0):
         self.rate_hz = rate_hz
         self.weight = 1.0 / (1.0 + time_constant * rate_hz)
 
     def reset(self, n=1, roll_pitch=None):
-        """Start n vehicles; roll_pitch (n, 2) [rad] where the initial attitude is known."""
+        """Start n vehicles, at roll_pitch (n, 2) [rad] if the initial attitude is known."""
         self.angles = np.zeros((n, 2)) if roll_pitch is None else np.array(roll_pitch, float)
 
     def update(self, gyro, accel):
-        """Roll and pitch (n, 2) [rad] from gyro [rad/s] and accel [m/s²], (n, 3) each; NaN is missing."""
+        """Return roll and pitch (n, 2) [rad] from gyro [rad/s] and accel [m/s²], (n, 3) each.
+
+        A missing sample is NaN.
+        """
         gyro = np.nan_to_num(gyro)
         roll, pitch = self.angles.T
         roll_rate = gyro[:, 0] + np.tan(pitch) * (np.sin(roll) * gyro[:, 1] + np.cos(roll) * gyro[:, 2])

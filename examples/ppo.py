@@ -1,18 +1,17 @@
-"""Learn to hold a place with PPO from stable-baselines3.
+"""Train an agent to hold a position with PPO from Stable-Baselines3.
 
     python examples/ppo.py [--steps 65536] [--seeds 1] [--recipe control] [--out reports/ppo]
 
-The agent replaces the position and velocity loops. At 20 Hz it chooses roll, pitch, yaw and
-thrust, and the loops below fly them on the attitude that Mahony's filter estimates. An episode of 5 s starts
-1.1 m from the set-point, at 1 m/s in any direction. All vehicles of a training fly as one batch. With
-`--recipe`, the second half of a training flies in the winds of that recipe, and vehicle and wind vary from
-episode to episode as they do there.
+The agent replaces the position and velocity loops. At 20 Hz, it commands roll, pitch, yaw and thrust to the
+inner loops, which use the attitude estimate of Mahony's filter. An episode of 5 s starts 1.1 m from the
+set-point, at 1 m/s in any direction. All vehicles fly as one batch. With `--recipe`, the second half of the
+training uses the winds and the randomisation of that recipe.
 
-Writes `ppo.csv`, a policy for each seed, and the learning curve `ppo.png`: the mean return of episodes that
-no training saw, 100 at best, beside that of no action (level flight at hover thrust) and that of quadsim's
-own loops.
+The script writes `ppo.csv`, a policy for each seed, and the learning curve `ppo.png`. The curve shows the
+mean return of new episodes, at most 100, compared with the action 0 (level flight at hover thrust) and with
+quadsim's own loops.
 
-Needs stable-baselines3: pip install 'quadsim[rl]'.
+Install Stable-Baselines3 with pip install 'quadsim[rl]'.
 """
 
 import argparse
@@ -44,7 +43,7 @@ ESTIMATOR = "mahony"
 
 
 def scenario_of(recipe: str | None) -> Scenario:
-    """A displaced start, 5 s of hover, and the winds and the randomisation of a recipe."""
+    """Return a scenario with a displaced start, 5 s of hover, and winds and randomisation of a recipe."""
     hover = load_scenario("hover")
     start = hover.start.model_copy(update={"offset": (0.8, -0.6, 0.5), "speed": 1.0})
     drawn = load_recipe(recipe) if recipe else hover
@@ -53,12 +52,12 @@ def scenario_of(recipe: str | None) -> Scenario:
 
 
 def vehicles(n: int, scenario: Scenario, level: Level = "attitude") -> SB3VecEnv:
-    """Vehicles that fly a scenario as one batch."""
+    """Make vehicles that fly a scenario as one batch."""
     return SB3VecEnv(n, REPEAT, estimator=ESTIMATOR, scenario=scenario, level=level)
 
 
 def no_action(observations: np.ndarray) -> np.ndarray:
-    """Level flight at hover thrust, or at level position the set-point itself."""
+    """Return the action 0: level flight at hover thrust or, at level position, the set-point."""
     return np.zeros((len(observations), 4))
 
 
@@ -68,7 +67,7 @@ def judge(
     level: Level = "attitude",
     seed: int = JUDGED,
 ) -> tuple[float, int]:
-    """Mean return of an episode, and how many of `EPISODES` crashed."""
+    """Return the mean return of an episode, and the number of crashes in `EPISODES`."""
     batch = vehicles(EPISODES, scenario, level)
     batch.seed(seed)
     observation = batch.reset()
@@ -82,7 +81,7 @@ def judge(
 
 
 def learn(seed: int, steps: int, recipe: str | None) -> Iterator[tuple[int, Policy]]:
-    """Train with a seed: decisions and policy before and after each two updates."""
+    """Train with a seed; yield the number of actions and the policy after every two updates."""
     training = {"example": "ppo.py", "seed": seed, "steps": steps, "recipe": recipe}
     spec = PolicySpec(level="attitude", estimator=ESTIMATOR, repeat=REPEAT, training=training)
     model = PPO(
@@ -109,7 +108,7 @@ def learn(seed: int, steps: int, recipe: str | None) -> Iterator[tuple[int, Poli
 
 @matplotlib.rc_context(STYLE)
 def draw(rows: Sequence[dict[str, Any]]) -> Figure:
-    """Return against decisions: one line a seed, and the two that learn nothing."""
+    """Draw the return over the number of actions, one line per seed, with the two references."""
     figure = Figure(figsize=(8.0, 4.0), layout="constrained")
     axes = figure.subplots()
     curves: dict[str, list[tuple[int, float]]] = {}
@@ -133,7 +132,7 @@ def draw(rows: Sequence[dict[str, Any]]) -> Figure:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Train with each seed, print what episodes earn, and write policies and curve."""
+    """Train with each seed, print the returns, and write policies and curve."""
     parser = argparse.ArgumentParser(description="Learn to hold a place with PPO.")
     parser.add_argument("--steps", type=int, default=65_536, help="decisions of a training")
     parser.add_argument("--seeds", type=int, default=1, help="trainings")

@@ -1,1 +1,1 @@
-"""The paper again: its tables and figures, ours beside theirs, and a verdict on each of its claims."""
+"""Reproduction of the paper: its tables and figures, with quadsim's results and a verdict on each claim."""

@@ -1,4 +1,4 @@
-"""The stages, what each takes from, and which of them a table or figure needs."""
+"""The stages, their inputs, and the stages that each table or figure needs."""
 
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,20 +13,21 @@ from .work import domains, filters, inside, scores, trainings
 from .work.scores import FILTERS
 
 PRESETS: dict[str, dict[str, Any]] = tomllib.loads(Path(__file__).with_name("sizes.toml").read_text("utf-8"))
-"""Sizes of all that `quadsim paper` does."""
+"""Sizes of the stages of `quadsim paper`, by preset."""
 Sizes = Mapping[str, Any]
-"""Those of a preset, with its name as "preset" and the "seed" of everything random."""
+"""Sizes of a preset, with its name as "preset" and the "seed" of all random numbers."""
 
 SNN, FIXED, CHIP, RNN = "net-snn", "net-weights", "net-chip", "net-rnn"
-"""By the paper's recipe: Att-SNN in floats, with fixed time constants, on the chip, and Att-RNN."""
+"""Networks trained by the paper's recipe: Att-SNN in floats, with fixed time constants, on the chip, and
+Att-RNN."""
 CROSS = ("net-only-sim", "net-only-real")
 """Att-SNN trained on one domain."""
 HOVER = {"kind": "hover", "position": [0.0, 0.0, 20.0]}
 CRUISE = {"kind": "waypoints", "points": [[20.0 * k, 0.0, 20.0] for k in range(11)], "speed": 5.0}
-"""A flight that has a constant velocity for long."""
+"""Trajectory with a long phase of constant velocity."""
 IN_LOOP = ("complementary", "mahony", "ekf")
 OURS = ("estimators",)
-"""Estimators are made by name: all of their code counts."""
+"""Packages whose whole code counts, because estimators are made by name."""
 
 ITEMS = {
     "table1": ("score-folds",),
@@ -43,7 +44,7 @@ ITEMS = {
     "rate": ("score-rate-", "rate-"),
     "minutes": ("score-minutes", "minutes-"),
 }
-"""What `--only` chooses from, and how the names begin of the stages whose numbers it shows."""
+"""Items for `--only`, with prefixes of the names of the stages that each shows."""
 
 PAPER: dict[str, Any] = {"model": "att-snn", "preset": "paper", "quantised": False, "recurrent_delay": 2}
 ON_CHIP: dict[str, Any] = {"model": "att-snn", "preset": "paper"}
@@ -51,10 +52,10 @@ GRU: dict[str, Any] = {"model": "att-rnn", "preset": "paper"}
 
 
 def chosen(only: str | None) -> list[str]:
-    """The tables and figures asked for as "table1,fig5"; None for all of them.
+    """Return the tables and figures given as "table1,fig5"; None for all.
 
     Raises:
-        ValueError: There is no such item; the message names the nearest.
+        ValueError: An item does not exist; the message names the nearest one.
     """
     if only is None:
         return list(ITEMS)
@@ -68,10 +69,10 @@ def chosen(only: str | None) -> list[str]:
 
 
 def sizes_of(preset: str, seed: int = 0) -> dict[str, Any]:
-    """Sizes of a preset.
+    """Return the sizes of a preset.
 
     Raises:
-        ValueError: There is no such preset, or the seed is of a held-out suite.
+        ValueError: The preset does not exist, or a held-out suite reserves the seed.
     """
     if preset not in PRESETS:
         raise ValueError(f"no preset {preset!r}, there are {' and '.join(PRESETS)}")
@@ -79,7 +80,7 @@ def sizes_of(preset: str, seed: int = 0) -> dict[str, Any]:
 
 
 def stages_of(sizes: Sizes) -> tuple[dict[str, Stage], dict[str, list[str]]]:
-    """Every stage by name, inputs first, and the stages whose numbers each item shows."""
+    """Return every stage by name, inputs first, and the stages that each item shows."""
     stages = {stage.name: stage for stage in _stages(sizes, sizes["seed"])}
     return stages, {
         item: [name for name in stages if name.startswith(prefixes)] for item, prefixes in ITEMS.items()

@@ -1,4 +1,4 @@
-"""Plan, make the stages that are missing, judge the claims, write the pages."""
+"""Plan the stages, run missing ones, judge the claims, and write the page."""
 
 import json
 import re
@@ -27,19 +27,19 @@ PAGE = jinja2.Environment(
     trim_blocks=True,
     lstrip_blocks=True,
 ).get_template("sections.md")
-"""The prose around tables and figures; every number of it is of the run."""
+"""Template of the page; every number comes from the run."""
 VERBS = {"holds": "hold", "partly": "hold partly", "does not hold": "do not", "not judged": "not judged"}
 
 
 class Paper(NamedTuple):
-    """The page and the judged claims."""
+    """The page and the judgements of the claims."""
 
     page: Path
     judged: list[Judgement]
 
     @property
     def headline(self) -> str:
-        """How many of the claims hold."""
+        """The number of claims that hold, in words."""
         counts = Counter(each.verdict for each in self.judged)
         shown = [f"{counts[verdict]} {verb}" for verdict, verb in VERBS.items() if counts[verdict]]
         return f"of the paper's {len(self.judged)} claims {', '.join(shown)}"
@@ -54,22 +54,22 @@ def paper(
     progress: Progress = lambda done, total, note: None,
     sizes: Sizes | None = None,
 ) -> Paper:
-    """Make the paper's tables and figures, and the page around them.
+    """Reproduce the paper's tables and figures, and write the page.
 
-    Stages that an earlier run with the same settings finished in the folder are not run again.
+    Stages that an earlier run with the same settings finished are not run again.
 
     Args:
         out: Folder for everything.
         only: Some of `plan.ITEMS`, as "table1,fig5"; None for all.
         preset: "quick" or "full".
-        seed: Of everything random.
-        workers: Processes, by default one for each CPU; 1 stays in this process.
-        progress: Called now and then.
-        sizes: In place of the preset's.
+        seed: Seed of all random numbers.
+        workers: Number of processes, by default one per CPU; 1 runs in this process.
+        progress: Called during the run.
+        sizes: Sizes that replace those of the preset.
 
     Raises:
-        ValueError: An unknown item or preset.
-        OSError: The folder cannot be written, or workers died.
+        ValueError: An item or the preset is unknown.
+        OSError: The folder cannot be written, or a worker died.
     """
     sizes = sizes or sizes_of(preset, seed)
     items, out = chosen(only), Path(out).expanduser().absolute()
@@ -84,12 +84,12 @@ def paper(
 
 
 def write_results(parts: Path, folder: Path, sizes: Sizes) -> list[Judgement]:
-    """Write the page of everything that is finished, and its figures; the judged claims.
+    """Write the page and the figures of all finished stages; return the judgements.
 
     Args:
-        parts: Folder of the stages' folders.
-        folder: For paper.md and img/.
-        sizes: Of the run.
+        parts: Folder with the folders of the stages.
+        folder: Folder for paper.md and img/.
+        sizes: Sizes of the run.
     """
     stages, shows = stages_of(sizes)
     done = {name: stage for name, stage in stages.items() if stage.is_finished(parts)}

@@ -1,9 +1,9 @@
-"""Stages: parts of the work, each stored in a folder of its own.
+"""Stages: parts of the work, each with its own folder.
 
-A stage is a function with arguments, some of which are other stages: the function gets their folders. Its
-fingerprint covers its code, its arguments and these stages: while that stays the same, a finished stage is
-read back and a killed one continues in its folder (trainings from their checkpoints); another fingerprint
-begins an empty folder.
+A stage is a function with arguments. For an argument that is another stage, the function receives its folder.
+The fingerprint of a stage covers code, arguments and input stages. If the fingerprint has not changed, a
+finished stage is read from its folder, and an interrupted one continues (a training continues from its
+checkpoint). Otherwise, the stage starts in an empty folder.
 """
 
 import json
@@ -23,9 +23,9 @@ RECORD, NUMBERS = "stage.json", "numbers.json"
 FLIGHTS, WEIGHTS, TUNING = "flights.zarr", "best.safetensors", "tuned.toml"
 
 Numbers = dict[str, Any]
-"""What a stage measured, as JSON knows it."""
+"""Measurements of a stage, as JSON data."""
 Progress = Callable[[int, int, str], None]
-"""progress(stages done, all stages, the last of them)."""
+"""Called as progress(finished stages, all stages, name of the last one)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,13 +34,13 @@ class Stage:
 
     name: str
     make: Callable[..., Numbers | None]
-    """Called as make(folder, **arguments); at module level. What it returns is stored in `NUMBERS`."""
+    """Function at module level, called as make(folder, **arguments). Its result is stored in `NUMBERS`."""
     arguments: Mapping[str, Any] = field(default_factory=dict)
-    """Everything else that its files depend on, as JSON knows it, and the stages whose files it reads."""
+    """Everything else that the files depend on: JSON data, and stages whose files are read."""
     alone: bool = False
-    """Whether nothing else may run beside it (what it measures is time)."""
+    """Whether no other stage may run at the same time, because the stage measures time."""
     packages: tuple[str, ...] = ()
-    """Packages that its code takes modules from by name: all of them count."""
+    """Packages whose whole code counts, because the stage loads their modules by name."""
 
     @cached_property
     def inputs(self) -> list["Stage"]:
@@ -51,13 +51,16 @@ class Stage:
 
     @cached_property
     def fingerprint(self) -> str:
-        """Digest of its code and arguments."""
+        """Digest of code and arguments."""
         code = self.make.__qualname__, code_digest(self.make.__module__, *self.packages)
         arguments = _with_stages(self.arguments, lambda stage: stage.fingerprint)
         return fingerprint(self.name, *code, arguments)[:16]
 
     def record(self, out: Path) -> dict[str, Any]:
-        """Its record below a folder, if it was begun there, with "seconds" if it is finished; else empty."""
+        """Return the record of the stage below a folder.
+
+        The record is empty if the stage was not started, and has "seconds" if it is finished.
+        """
         try:
             record = json.loads((out / self.name / RECORD).read_text(encoding="utf-8"))
         except (FileNotFoundError, ValueError):
@@ -65,7 +68,7 @@ class Stage:
         return record if record.get("fingerprint") == self.fingerprint else {}
 
     def is_finished(self, out: Path) -> bool:
-        """Whether it was finished below a folder and all that it left there is still there."""
+        """Return whether the stage is finished below a folder and all its files exist."""
         record = self.record(out)
         return "seconds" in record and all((out / self.name / file).exists() for file in record["files"])
 
@@ -80,7 +83,7 @@ def _with_stages(value: Any, replacement: Callable[[Stage], Any]) -> Any:
 
 
 def with_inputs(stages: Mapping[str, Stage], wanted: Iterable[str]) -> list[Stage]:
-    """Stages and all that they need, in the order of `stages`, where inputs come first."""
+    """Return stages and all their inputs, in the order of `stages`."""
     needed = set(wanted)
     for name in reversed(list(stages)):
         if name in needed:
@@ -94,19 +97,19 @@ def run_stages(
     workers: int | None = None,
     progress: Progress = lambda done, total, note: None,
 ) -> list[str]:
-    """Make what is missing, independent stages side by side.
+    """Run missing stages; independent stages run in parallel.
 
     Args:
-        stages: What is required, inputs before what needs them.
-        out: Folder for the stages' folders.
+        stages: Required stages, inputs first.
+        out: Folder for the folders of the stages.
         workers: Processes, by default one for each CPU; 1 stays in this process.
         progress: Called after each stage.
 
     Returns:
-        Names of the stages that were made; the others had been.
+        Names of the stages that were run.
 
     Raises:
-        ChildProcessError: A worker process died; finished stages stay.
+        ChildProcessError: A worker process died. Finished stages are kept.
     """
     missing = [stage for stage in stages if not stage.is_finished(out)]
     waiting = list(missing)
@@ -121,7 +124,7 @@ def run_stages(
 
 
 def make_stage(stage: Stage, out: Path) -> None:
-    """Make one stage; its folder is emptied if it holds another one."""
+    """Run one stage; empty its folder if it contains another one."""
     folder = out / stage.name
     if not stage.record(out):
         shutil.rmtree(folder, ignore_errors=True)

@@ -1,6 +1,7 @@
-"""What the simulator asks of an attitude estimator, and the sensor readings that it gives it.
+"""The protocol of attitude estimators, and the sensor readings that they are given.
 
-A further sensor is a field of `Readings` and a key of `OtherSensors`; every estimator then accepts it.
+To add a sensor, add a field to `Readings` and a key to `OtherSensors`; every estimator then accepts the
+sensor.
 """
 
 import inspect
@@ -14,44 +15,44 @@ Array = NDArray[np.float64]
 
 
 class Readings(NamedTuple):
-    """Sensor readings of n vehicles: one sample (n, ·), or sequences (n, T, ·); NaN where missing."""
+    """Sensor readings of n vehicles: one sample (n, ·), or sequences (n, T, ·). Missing readings are NaN."""
 
     gyro: Array
     """Body rate, (n, 3) [rad/s]."""
     accel: Array
     """Specific force in body axes, (n, 3) [m/s²]."""
     rotor_vel: Array | None = None
-    """Rotor speeds, (n, rotors) [rad/s]; None where they are not measured."""
+    """Rotor speeds, (n, rotors) [rad/s]; None if they are not measured."""
     mag: Array | None = None
-    """Magnetic field in body axes, (n, 3) [T]; None where there is no magnetometer."""
+    """Magnetic field in body axes, (n, 3) [T]; None without a magnetometer."""
 
     def map(self, change: Callable[[Array], Array]) -> "Readings":
-        """The readings with each array changed alike."""
+        """Apply a function to each array of readings."""
         return Readings(*(None if each is None else change(each) for each in self))  # pyright: ignore[reportArgumentType]
 
     @property
     def others(self) -> dict[str, Array]:
-        """The readings of the sensors beside the IMU, where present."""
+        """Return the available readings of sensors other than the IMU."""
         return {name: getattr(self, name) for name in OTHERS if getattr(self, name) is not None}
 
     def give(self, update: Callable[..., Array], accepted: Iterable[str]) -> Array:
-        """Call an `update` or a `sequence` with the sensors beside the IMU that it accepts."""
+        """Call an `update` or a `sequence` with the IMU and those other sensors that it accepts."""
         return update(self.gyro, self.accel, **{name: getattr(self, name) for name in accepted})
 
 
 OTHERS = Readings._fields[2:]
-"""Sensors beside the IMU."""
+"""Names of the sensors other than the IMU."""
 
 
 class OtherSensors(TypedDict, total=False):
-    """Readings beside the IMU's, as keyword arguments."""
+    """Readings of sensors other than the IMU, as keyword arguments."""
 
     rotor_vel: Array | None
     mag: Array | None
 
 
 def accepted_sensors(update: Callable[..., object]) -> tuple[str, ...]:
-    """Names of the sensors beside the IMU that an `update` or a `sequence` accepts as keywords."""
+    """Return the names of other sensors that an `update` or a `sequence` accepts as keyword arguments."""
     try:
         parameters = inspect.signature(update).parameters.values()
     except ValueError:  # compiled without a signature
@@ -63,21 +64,24 @@ def accepted_sensors(update: Callable[..., object]) -> tuple[str, ...]:
 
 
 def roll_pitch_of(returned: object, shape: tuple[int, ...], name: str, call: str = "update") -> Array:
-    """What an estimator returned, as roll and pitch [rad] in double precision, see `numbers_of`."""
+    """Convert the return value of an estimator to roll and pitch in double precision [rad].
+
+    See `numbers_of`.
+    """
     return numbers_of(returned, shape, f"{name}: {call}", "roll and pitch [rad]")
 
 
 def numbers_of(returned: object, shape: tuple[int, ...], call: str, what: str) -> Array:
-    """What a user's code returned, in double precision.
+    """Convert the return value of a user's code to an array in double precision.
 
     Args:
-        returned: An array, or what makes one.
-        shape: The shape that it must have.
-        call: What returned it, for the message.
-        what: What it must be, for the message.
+        returned: The return value, an array or convertible to one.
+        shape: Required shape.
+        call: Name of the call, for the error message.
+        what: Description of the required value, for the error message.
 
     Raises:
-        ValueError: It has another shape, is masked, or does not hold real numbers.
+        ValueError: The value has the wrong shape, is masked, or does not hold real numbers.
     """
     if type(returned) is np.ndarray and returned.shape == shape and returned.dtype == np.float64:
         return returned
@@ -92,10 +96,10 @@ def numbers_of(returned: object, shape: tuple[int, ...], call: str, what: str) -
 
 
 def broadcast(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """A finite array in double precision, broadcast to a shape.
+    """Convert to a finite array in double precision, broadcast to a shape.
 
     Raises:
-        ValueError: It has another shape, or a number that is not finite.
+        ValueError: The array has an incompatible shape or a number that is not finite.
     """
     array = np.asarray(value, dtype=np.float64)
     try:
@@ -110,10 +114,10 @@ def broadcast(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
 
 
 def rows_of(ids: ArrayLike, n: int) -> NDArray[np.intp]:
-    """Indices (m,) of some of n vehicles, given by their indices or by a mask (n,).
+    """Return the indices (m,) of some of n vehicles, given as indices or as a mask (n,).
 
     Raises:
-        ValueError: There are no such vehicles.
+        ValueError: An index or the mask does not fit n vehicles.
     """
     given = np.atleast_1d(np.asarray(ids))
     try:
@@ -123,27 +127,31 @@ def rows_of(ids: ArrayLike, n: int) -> NDArray[np.intp]:
 
 
 def receives_truth(estimator: object) -> bool:
-    """Whether an estimator is fed the true attitude: a reference, which no table ranks."""
+    """Return whether an estimator is given the true attitude.
+
+    Such an estimator is a reference and is not ranked.
+    """
     return callable(getattr(estimator, "observe", None))
 
 
 class AttitudeEstimator(Protocol):
     """Roll and pitch from a 6-axis IMU, for n vehicles at once, one sample at a time.
 
-    Optional members, looked up by name where they are used:
+    An estimator can have these optional members:
 
-    - `observe(quat)`: an estimator that is fed the truth; called with quat_WB (n, 4) just before `update`.
-      It is a reference: tables mark it and do not rank it.
-    - `sequence(gyro, accel, **sensors)`: (n, T, 3) twice -> (n, T, 2), the same numbers as T calls of
-      `update`, faster.
-    - `restart(ids, roll_pitch=None)`: `reset` for some of the vehicles, the others continue.
-    - `quat` (n, 4), and `reset(quat=...)`: the filter estimates a quaternion quat_WB.
-    - `gyro_bias` (n, 3) [rad/s]: the filter estimates the bias of its gyroscope.
-    - `roll_pitch_sigma` (n, 2) [rad]: standard deviation of roll and pitch, by the filter's own covariance.
-    - `close()`: called at the end of the flights.
-    - `skipped` (n,): samples since `reset` that were missing in part or whole and were bridged by prediction.
+    - `observe(quat)`: receives the true quat_WB (n, 4) just before each `update`. An estimator with this
+      member is a reference and is not ranked.
+    - `sequence(gyro, accel, **sensors)`: processes T samples, (n, T, 3) each, and returns (n, T, 2). The
+      numbers must equal those of T calls of `update`.
+    - `restart(ids, roll_pitch=None)`: resets some of the vehicles, while the others continue.
+    - `quat` (n, 4) and `reset(quat=...)`: the estimated quaternion quat_WB, and the initial one.
+    - `gyro_bias` (n, 3) [rad/s]: the estimated bias of the gyroscope.
+    - `roll_pitch_sigma` (n, 2) [rad]: the standard deviation of roll and pitch, from the filter's own
+      covariance.
+    - `close()`: is called at the end of the flights.
+    - `skipped` (n,): the number of samples since `reset` that were incomplete and were bridged by prediction.
 
-    An `update` or a `sequence` without the keywords of `OtherSensors` is called without them.
+    `update` and `sequence` are only called with those keyword arguments of `OtherSensors` that they accept.
     """
 
     rate_hz: float
@@ -153,12 +161,12 @@ class AttitudeEstimator(Protocol):
 
         Args:
             n: Number of vehicles.
-            roll_pitch: Attitude one sample before the first update, (n, 2) [rad]; None where it is not known.
+            roll_pitch: Attitude one sample before the first update, (n, 2) [rad]; None if it is not known.
         """
         ...
 
     def update(self, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]) -> Array:
-        """Take one sample.
+        """Process one sample.
 
         Args:
             gyro: Body rate, (n, 3) [rad/s].

@@ -1,7 +1,7 @@
-"""The external sensor: where position, velocity and yaw come from, motion capture for instance.
+"""The external sensor, such as motion capture: the source of position, velocity and yaw.
 
-Each measurement is the truth plus white noise; it is taken at the sensor's own rate, arrives after a delay,
-and holds until the next one arrives. Roll and pitch are no business of it: they come from the estimator.
+Each measurement is the truth plus white noise. The sensor measures at its own rate. A measurement arrives
+after a delay and is used until the next one arrives. The external sensor does not measure roll and pitch.
 """
 
 from pathlib import Path
@@ -16,9 +16,9 @@ from .runs.compiled import njit
 from .seeding import Seed, vehicle_seeds
 
 BLOCK = 64
-"""Measurements for which noise is drawn at once."""
+"""Number of measurements for which noise is drawn at once."""
 NUMBERS = 7
-"""Of a measurement: position, velocity and yaw."""
+"""Number of values in a measurement: position, velocity and yaw."""
 SENSOR = np.dtype(
     [
         ("ratio", "f8"),  # measurements per sample of the loop
@@ -30,38 +30,39 @@ SENSOR = np.dtype(
 
 
 class ExternalSpec(Strict):
-    """An external sensor; the defaults mean an ideal one: no noise, no delay, a measurement every sample."""
+    """An external sensor. By default, there is no noise and no delay, and one measurement per sample."""
 
     rate_hz: Annotated[float, Between(0.01, 1e5, "Hz")] | None = None
-    """Measurements per second; default, and if above the loop's rate: one per sample."""
+    """Measurements per second. The default, and any rate above the sample rate, gives one measurement per
+    sample."""
     delay_s: Delay = 0.0
-    """Delay of a measurement [s]; rounded to whole samples of the loop."""
+    """Delay of a measurement, rounded to whole samples [s]."""
     position_noise: Annotated[float, Between(0.0, 100.0, "m")] = 0.0
     """Standard deviation of the position on each axis [m]."""
     velocity_noise: Speed = 0.0
     """Standard deviation of the velocity on each axis [m/s], after the sensor's own filter."""
     yaw_noise_deg: Annotated[float, Between(0.0, 180.0, "°")] = 0.0
-    """Standard deviation [deg]."""
+    """Standard deviation of the yaw [deg]."""
 
 
 def load_external(source: str | Path) -> ExternalSpec:
     """Read an external sensor: a shipped name ("ideal", "motion-capture") or the path of a TOML file.
 
     Raises:
-        ValueError: One line with the file, the key, its value and what is allowed.
+        ValueError: The file is invalid; the message names the key, its value and the allowed values.
     """
     return load_toml(source, "externals", ExternalSpec)
 
 
 class ExternalSensor:
-    """The external sensors of n vehicles: their records, noise and queues are what `deliver` takes.
+    """The external sensors of n vehicles; records, noise and queues are arguments of `deliver`.
 
     Args:
         spec: The sensor.
         n: Number of vehicles.
         rate_hz: Samples of the loop per second.
         seed: Whole number, seed sequence, or one seed sequence per vehicle.
-        longest: Largest factor that `delay` may be given.
+        longest: Largest factor that `delay` accepts.
     """
 
     def __init__(self, spec: ExternalSpec, n: int, rate_hz: float, seed: Seed, longest: float = 1.0) -> None:
@@ -81,7 +82,7 @@ class ExternalSensor:
         self.sensors["delay"][ids] = np.rint(self._delay * np.asarray(factor))
 
     def draw(self) -> None:
-        """Draw noise for the sensors that have spent theirs."""
+        """Draw new noise for sensors that have used all of theirs."""
         for i in np.flatnonzero(self.sensors["next_noise"] == BLOCK):
             self._random[i].standard_normal(out=self.noise[i])
             self.sensors["next_noise"][i] = 0
@@ -96,11 +97,11 @@ def deliver(p, noise, queue, x):
     Args:
         p: Record of `SENSOR`.
         noise: (BLOCK, NUMBERS) standard normal numbers.
-        queue: (slots, NUMBERS), where measurements wait.
+        queue: (slots, NUMBERS) measurements that have not arrived yet.
         x: Record of `quadsim.control.records.MEASURED`; `k` = 0 resets the vehicle.
 
     Returns:
-        Whether the noise is spent.
+        Whether all noise has been used.
     """
     k, slots = x.k, queue.shape[0]
     m = int(k * p.ratio + 1e-9)

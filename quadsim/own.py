@@ -1,4 +1,4 @@
-"""Objects of a user's own code, by name: "package.module:Name", "path/file.py:Name", or an entry point."""
+"""Loading of user code by name: "package.module:Name", "path/file.py:Name", or an entry point."""
 
 import importlib
 import importlib.util
@@ -15,29 +15,30 @@ from .config.toml import nearest
 from .runs.fingerprint import closure, content_digest, is_of_product, package_root
 
 OWN = "quadsim_own_"
-"""Beginning of the name of a module that was loaded from a file."""
+"""Prefix of the names of modules that were loaded from files."""
 INSTALLED = {"site-packages", "dist-packages"}
 STANDARD = Path(sysconfig.get_path("stdlib"))
 _imported: dict[str, str] = {}
-"""Modules of users by name: digest of all their files when they were imported."""
+"""For each module of a user, the digest of its files at the time of import."""
 _neighbours: set[Path] = set()
-"""Files that modules loaded from a file imported."""
+"""Files imported by modules that were loaded from a file."""
 
 
 def is_own(name: str, group: str = "") -> bool:
-    """Whether a name is of a user's own code: it has a colon, or it is an entry point of the group."""
+    """Return whether a name refers to user code: it has a colon or is an entry point of the group."""
     return ":" in name or name in entry_points_of(group)
 
 
 def load_own(name: str, group: str = "") -> Any:
-    """The object of that name.
+    """Load the object with a name.
 
     Args:
-        name: "package.module:Name"; "path/file.py:Name", from the working directory; or an entry point.
-        group: Of entry points.
+        name: "package.module:Name"; "path/file.py:Name", relative to the working directory; or an entry
+            point.
+        group: Group of the entry points.
 
     Raises:
-        ValueError: There is no such file, module or object, or the code fails.
+        ValueError: The file, module or object does not exist, or the code fails.
     """
     if name in entry_points_of(group):
         name = entry_points_of(group)[name].value
@@ -61,7 +62,7 @@ def load_own(name: str, group: str = "") -> Any:
 
 
 def _file_of(name: str, group: str) -> Path | None:
-    """The file that an object of a user's comes from, without running it; None where there is none."""
+    """Return the file that defines a user's object, without running the file; None if there is no file."""
     if name in entry_points_of(group):
         name = entry_points_of(group)[name].value
     module = name.rpartition(":")[0]
@@ -75,10 +76,10 @@ def _file_of(name: str, group: str) -> Path | None:
 
 
 def own_files(name: str, group: str = "") -> list[Path]:
-    """The file that an object of a user's comes from and those that it imports, without running them, sorted.
+    """Return the file that defines a user's object, and the files that it imports, sorted; no file is run.
 
-    Imports are followed to modules beside the file, in its package and in folders on Python's path, but not
-    to what is installed, Python's own, or the product's.
+    Imports are followed to modules in the folder of the file, in its package, and in folders on Python's
+    path. Installed packages, the standard library and quadsim itself are excluded.
     """
     file = _file_of(name, group)
     return _with_imports(file.absolute()) if file else []
@@ -86,12 +87,15 @@ def own_files(name: str, group: str = "") -> list[Path]:
 
 @cache
 def entry_points_of(group: str) -> dict[str, EntryPoint]:
-    """Entry points that installed packages offer in a group."""
+    """Return the entry points of installed packages in a group."""
     return {each.name: each for each in entry_points(group=group)} if group else {}
 
 
 def _from_file(path: Path) -> Any:
-    """The module of a file, which may import its neighbours; loaded once for each content of them all."""
+    """Load a file as a module, which may import its neighbours.
+
+    The module is loaded again only if a file has changed.
+    """
     path = path.absolute()
     path.stat()  # raises where there is none
     files = _with_imports(path)
@@ -114,7 +118,7 @@ def _from_file(path: Path) -> Any:
 
 
 def _from_path(module: str) -> Any:
-    """A module on Python's path; imported again where it, or a file that it imports, has changed since."""
+    """Import a module from Python's path, again if its file or a file that it imports has changed."""
     files = own_files(f"{module}:")
     digest = _digest(files)
     if _imported.setdefault(module, digest) != digest:
@@ -124,7 +128,7 @@ def _from_path(module: str) -> Any:
 
 
 def _with_imports(file: Path) -> list[Path]:
-    """A file, the packages around it, and what they import of the user's; sorted."""
+    """Return a file, the packages around it, and the user's files that they import, sorted."""
     inside = file.relative_to(package_root(file)).parts
     package = package_root(file) / inside[0]
     around = [file.parents[up] / "__init__.py" for up in range(len(inside) - 1)]
@@ -142,7 +146,7 @@ def _digest(files: Iterable[Path]) -> str:
 
 
 def _forget(files: Iterable[Path]) -> None:
-    """Let modules of these files be imported again; what has them keeps them."""
+    """Remove the modules of these files from the import cache."""
     paths = set(map(str, files))
     for name, module in list(sys.modules.items()):
         if not name.startswith(OWN) and getattr(module, "__file__", None) in paths:
@@ -152,11 +156,11 @@ def _forget(files: Iterable[Path]) -> None:
 
 @contextmanager
 def named_errors(what: str, passing: type[Exception] | tuple[()] = ValueError) -> Iterator[None]:
-    """Turn whatever a user's code raises into a ValueError that says what failed, `SystemExit` too.
+    """Convert any exception of user code, including `SystemExit`, to a ValueError that names what failed.
 
     Args:
-        what: What ends with the error.
-        passing: What stays as it is; Ctrl-C always does.
+        what: Name of the failing part, for the message.
+        passing: Exceptions that are not converted; Ctrl-C never is.
     """
     try:
         yield
@@ -168,9 +172,9 @@ def named_errors(what: str, passing: type[Exception] | tuple[()] = ValueError) -
 
 @contextmanager
 def _importable(folder: Path) -> Iterator[None]:
-    """Let modules of a folder be imported, after all others, and from their source.
+    """Allow imports from a folder, after all other folders, and always from source.
 
-    Python takes a compiled file for that of a source of the same size and second.
+    Python would use a stale compiled file if a source file changed within a second and kept its size.
     """
     write_none, sys.dont_write_bytecode = sys.dont_write_bytecode, True
     sys.path.append(str(folder))

@@ -19,13 +19,13 @@ from .vehicle import GRAVITY, Vehicle
 Array = NDArray[np.float64]
 
 FLIGHT_STEP = 0.005
-"""Longest RK4 step [s]: within 1e-5° of a converged solution over an aggressive manoeuvre."""
+"""Longest RK4 step [s]; the error is below 1e-5° over an aggressive manoeuvre."""
 CONTACT_STEP = 0.001
-"""Longest step where the ground can be touched [s]."""
+"""Longest step with ground contact [s]."""
 
 
 class State(NamedTuple):
-    """Everything about n vehicles at one instant."""
+    """State of n vehicles at one instant."""
 
     position: Array  #: (n, 3) centre of mass, world [m]
     velocity: Array  #: (n, 3) of the centre of mass, world [m/s]
@@ -38,16 +38,17 @@ class State(NamedTuple):
 
 @njit(cache=True)
 def air_velocity(p):
-    """Velocity relative to the air, body axes, a tuple [m/s]."""
+    """Return the velocity relative to the air, body axes, a tuple [m/s]."""
     q, v, wind = p.state.quat, p.state.velocity, p.state.wind
     return rotate_inverse_core(q[0], q[1], q[2], q[3], v[0] - wind[0], v[1] - wind[1], v[2] - wind[2])
 
 
 @njit(cache=True)
 def actuate(p):
-    """Advance the rotors of one vehicle by a step and write force and moment, averaged over it.
+    """Advance the rotors of one vehicle by a step, and write force and moment averaged over the step.
 
-    Rotor lag is exact. Drag is taken at mid-step from the current acceleration: second order in dt.
+    The rotor lag is exact. Drag is computed at mid-step from the current acceleration, which is second order
+    in dt.
 
     Args:
         p: Record of `vehicle_dtype`; the commanded rotor speeds are in its state.
@@ -94,7 +95,7 @@ def update_truth(p):
 
 @njit(cache=True)
 def fly(p, substeps):
-    """Move one vehicle in free flight over a sample; specific force and angular acceleration stay behind."""
+    """Move one vehicle in free flight by a sample, without updating its specific force."""
     for i in range(substeps):
         if i:
             update_truth(p)
@@ -104,44 +105,47 @@ def fly(p, substeps):
 
 @njit(cache=True)
 def actuate_all(vehicles):
-    """`actuate` for all vehicles (n,)."""
+    """Run `actuate` for all vehicles (n,)."""
     for i in range(vehicles.shape[0]):
         actuate(vehicles[i])
 
 
 @njit(cache=True)
 def update_truth_all(vehicles):
-    """`update_truth` for all vehicles (n,)."""
+    """Run `update_truth` for all vehicles (n,)."""
     for i in range(vehicles.shape[0]):
         update_truth(vehicles[i])
 
 
 @njit(cache=True)
 def fly_all(vehicles, substeps):
-    """`fly` for all vehicles (n,)."""
+    """Run `fly` for all vehicles (n,)."""
     for i in range(vehicles.shape[0]):
         fly(vehicles[i], substeps)
 
 
 class Plant:
-    """n multirotors, stepped together at the sample rate.
+    """A batch of n multirotors, stepped together at the sample rate.
 
     `position`, `velocity`, `quat`, `ang_vel`, `rotor_vel`, `specific_force` and `ang_acc` are views of the
-    current state, all of one instant; `step` returns copies. `rotor_effect` (n, rotors) scales the thrust of
-    each rotor and may be written at any time; `set_mass` changes masses in flight. `vehicles` are the records
-    that `fly` and `update_truth` take.
+    current state, all at the same instant; `step` returns copies. `rotor_effect` (n, rotors) scales the
+    thrust of each rotor and can be changed at any time. `set_mass` changes masses in flight. `vehicles` are
+    the records for `fly` and `update_truth`.
 
     Args:
-        vehicle: One vehicle for all, or a sequence of n of them (as many rotors, own numbers).
+        vehicle: One vehicle for all, or a sequence of n vehicles with the same number of rotors.
         n: Number of vehicles.
-        rate_hz: Samples per second; each is one RK4 step of at most 5 ms (1 ms with contact), or several.
+        rate_hz: Samples per second. A sample takes one or several RK4 steps of at most 5 ms (1 ms with
+            contact).
         integrator: A MuJoCo integrator: "RK4", or "implicitfast", "Euler", "implicit".
         contact: Whether the ground can be touched: take-off, landing, crashes.
-        engine: "mujoco"; "auto", MuJoCo's RK4 of a free body, compiled, where it can be.
+        engine: "mujoco", or "auto", which uses a compiled version of MuJoCo's RK4 for a free body where
+            possible.
         records: (n,) records of `quadsim.motion.rotors.vehicle_dtype` to use, for loops with larger records.
 
     Raises:
-        ValueError: For a rate or a number of vehicles that is not positive, an unknown integrator or engine.
+        ValueError: The rate or the number of vehicles is not positive, or the integrator or the engine is
+            unknown.
     """
 
     def __init__(
@@ -193,18 +197,18 @@ class Plant:
         rotor_vel: ArrayLike | None = None,
         ids: ArrayLike | None = None,
     ) -> State:
-        """Place the vehicles; what is not given is hover at rest, level, 1 m above the ground.
+        """Place the vehicles; the default is level hover at rest, 1 m above the ground.
 
         Args:
-            position: (m, 3) [m], world.
-            velocity: (m, 3) [m/s], world.
-            quat: (m, 4) quat_WB, normalised here.
-            ang_vel: (m, 3) [rad/s], body axes.
-            rotor_vel: (m, rotors) [rad/s].
+            position: Position in world axes (m, 3) [m].
+            velocity: Velocity in world axes (m, 3) [m/s].
+            quat: Attitude quat_WB (m, 4), which is normalised.
+            ang_vel: Body rate, body axes (m, 3) [rad/s].
+            rotor_vel: Rotor speeds (m, rotors) [rad/s].
             ids: The m vehicles to reset; None for all.
 
         Raises:
-            ValueError: If an array does not broadcast to its shape, or is not finite.
+            ValueError: An array does not broadcast to its shape or is not finite.
         """
         rows = np.arange(self.n) if ids is None else np.asarray(ids, dtype=int)
         rotors, some = self.rotor_vel.shape[1], self.vehicles[rows]
@@ -228,17 +232,17 @@ class Plant:
         return self.state()
 
     def step(self, rotor_vel_cmd: ArrayLike, wind: ArrayLike | None = None) -> State:
-        """Hold a command and a wind over one sample period and return the state at its end.
+        """Apply a command and a wind for one sample period, and return the state at its end.
 
         Args:
             rotor_vel_cmd: (n, rotors) commanded rotor speeds [rad/s]; clipped to 0…ω_max.
             wind: (n, 3) wind velocity, world [m/s]; None for still air.
 
         Returns:
-            The state one sample later. Specific force and rates belong to that same instant.
+            The state one sample later. Specific force and rates belong to the same instant.
 
         Raises:
-            ValueError: If an array does not broadcast to its shape, or is not finite.
+            ValueError: An array does not broadcast to its shape or is not finite.
         """
         command = _rows("rotor_vel_cmd", rotor_vel_cmd, self.rotor_vel.shape, 0.0)
         self.wind[:] = _rows("wind", wind, (self.n, 3), 0.0)
@@ -248,7 +252,7 @@ class Plant:
         return self.state()
 
     def move(self) -> None:
-        """Move all vehicles over a sample at their commands; specific force and angular acceleration stay."""
+        """Move all vehicles by a sample with their commands, without updating their specific force."""
         if self.engine is None:
             fly_all(self.vehicles, self.substeps)
             return
@@ -259,17 +263,17 @@ class Plant:
             self.engine.step()
 
     def state(self) -> State:
-        """Copies of the live arrays."""
+        """Return a copy of the current state."""
         return State(*(getattr(self, name).copy() for name in State._fields))
 
     def exchange(self, ids: NDArray[np.int64], vehicles: Sequence[Vehicle]) -> None:
-        """Put other vehicles, with as many rotors, in the places `ids` (m,); `reset` then places them."""
+        """Replace the vehicles `ids` (m,) by others with the same number of rotors; `reset` must follow."""
         self.vehicles[ids] = vehicle_records(list(vehicles), self.vehicles["dt"][0])
         if self.engine is not None:
             self.engine.write_inertia()
 
     def set_mass(self, mass: ArrayLike) -> None:
-        """Change the masses, (n,) [kg], the inertia in proportion: a payload taken up or dropped."""
+        """Change the masses, (n,) [kg], and the inertias in proportion."""
         new = _rows("mass", mass, (self.n,), 0.0)
         if np.any(new <= 0):
             raise ValueError(f"mass is {new.min()} kg; it must be positive")
@@ -280,5 +284,5 @@ class Plant:
 
 
 def _rows(name: str, value: ArrayLike | None, shape: tuple[int, ...], default: ArrayLike) -> Array:
-    """An argument or its default, see `broadcast`."""
+    """Return an argument or its default; see `broadcast`."""
     return broadcast(name, default if value is None else value, shape)

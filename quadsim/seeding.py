@@ -1,7 +1,7 @@
-"""Random streams that depend on nothing but the seed: one per vehicle, per component and per flight.
+"""Random streams that depend only on the seed: one per flight, vehicle and component.
 
-The children are those that `SeedSequence.spawn` would give to a fresh parent, but the parent is not changed:
-asking twice gives the same stream, whatever the number of vehicles, of workers and of parts switched on.
+The children equal those of `SeedSequence.spawn` for a new parent, but the parent is not changed. Repeated
+calls give the same stream, independent of the number of vehicles and workers and of the active components.
 """
 
 from collections.abc import Sequence
@@ -14,26 +14,26 @@ Seed: TypeAlias = int | np.random.SeedSequence | Sequence[np.random.SeedSequence
 """A whole number, a seed sequence for a batch, or one seed sequence per vehicle."""
 
 TRAJECTORY, BODY, AIR, SENSOR, ANGLES, GROUND, PILOT, BEGINNING, FAULT, EXTERNAL = range(10)
-"""Children of a flight's seed: one for each component that draws from it, in every kind of flight."""
+"""Indices of the children of a flight's seed, one per component, the same in every kind of flight."""
 
 
 def child(parent: np.random.SeedSequence, *key: int) -> np.random.SeedSequence:
-    """Descendant of a seed sequence: `child(s, 2, 0)` is the first child of the third child of s."""
+    """Return a descendant of a seed sequence: `child(s, 2, 0)` is the first child of the third child of s."""
     return np.random.SeedSequence(
         parent.entropy, spawn_key=(*parent.spawn_key, *key), pool_size=parent.pool_size
     )
 
 
 def children(parents: Sequence[np.random.SeedSequence], key: int) -> list[np.random.SeedSequence]:
-    """The child of that number of each seed sequence."""
+    """Return the child with a given index of each seed sequence."""
     return [child(parent, key) for parent in parents]
 
 
 def vehicle_seeds(seed: Seed, n: int) -> list[np.random.SeedSequence]:
-    """One seed sequence per vehicle; that of vehicle i does not depend on n.
+    """Return one seed sequence per vehicle; the one of vehicle i does not depend on n.
 
     Raises:
-        ValueError: The seed is negative, of another type, or holds another number of seed sequences than n.
+        ValueError: The seed is negative or has the wrong type, or the number of seed sequences is not n.
     """
     if isinstance(seed, Integral):
         if seed < 0:

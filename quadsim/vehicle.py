@@ -1,4 +1,4 @@
-"""The vehicle: its numbers, read from TOML, and their per-flight randomisation."""
+"""The vehicle: its constants, read from TOML, and their randomisation for each flight."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -18,13 +18,14 @@ Lag = Annotated[float, Between(1e-4, 1.0, "s")]
 Gain = Annotated[float, Between(1e-3, 1000.0, "1/s")]
 IntegralGain = Annotated[float, Between(0.0, 1e4, "1/s²")]
 GYRATION_M = 1e-3, 5.0
-"""Radii of gyration that a vehicle can have [m]."""
+"""Range of the radius of gyration of a vehicle [m]."""
 MIN_ROTORS, MAX_ROTORS = 4, 12
-"""Fewest rotors that command thrust, roll, pitch and yaw independently; most that a vehicle can have."""
+"""Smallest number of rotors that control thrust, roll, pitch and yaw independently; largest number of
+rotors."""
 
 
 class Rotor(Strict):
-    """Position and sense of rotation of one rotor."""
+    """Position and direction of rotation of one rotor."""
 
     position: Arm = Field(description="Hub w.r.t. the centre of mass, body axes [m].")
     spin: Literal["cw", "ccw"] = Field(description="Sense of rotation seen from above.")
@@ -47,7 +48,7 @@ class Motor(Strict):
 
 
 class Frame(Strict):
-    """The airframe: drag and outline."""
+    """Drag and outline of the airframe."""
 
     drag_area: tuple[Area, Area, Area] = Field(description="C_d A per body axis, of −½ ρ C_d A |v| v [m²].")
     size: tuple[Size, Size, Size] = Field(description="Half extents of the box that touches the ground [m].")
@@ -55,7 +56,10 @@ class Frame(Strict):
 
 
 class Gains(Strict):
-    """Gains of the cascaded controller, made by `quadsim.control.gains.design` from phase margins."""
+    """Gains of the cascaded controller.
+
+    By default, `quadsim.control.gains.design` computes them from phase margins.
+    """
 
     rate: Gain = Field(description="Roll and pitch rate error to angular acceleration [1/s].")
     rate_integral: IntegralGain = Field(description="Integral action of the rate loop [1/s²].")
@@ -69,7 +73,7 @@ class Gains(Strict):
 
 
 class Vehicle(Strict):
-    """A multirotor. Body axes: x forward, y left, z up, origin at the centre of mass."""
+    """A multirotor. Body axes are x forward, y left and z up, with the origin at the centre of mass."""
 
     name: str = Field(description="Name shown in reports.")
     source: str = Field(description="Where the numbers come from.")
@@ -103,45 +107,45 @@ class Vehicle(Strict):
 
     @property
     def hover_rotor_vel(self) -> float:
-        """Rotor speed at which all rotors together carry the weight [rad/s]."""
+        """Rotor speed at which the thrust of all rotors equals the weight [rad/s]."""
         return float(np.sqrt(self.mass * GRAVITY / (len(self.rotors) * self.motor.k_f)))
 
     @property
     def thrust_to_weight(self) -> float:
-        """Highest total thrust over weight."""
+        """Ratio of the largest total thrust to the weight."""
         return len(self.rotors) * self.motor.k_f * self.motor.omega_max**2 / (self.mass * GRAVITY)
 
     @property
     def drag_time_constant(self) -> float:
-        """Time constant of the speed's decay by rotor drag alone, at hover rotor speed: m / (c Σω) [s]."""
+        """Time constant of the decay of speed by rotor drag alone at hover rotor speed, m / (c Σω) [s]."""
         return self.mass / (len(self.rotors) * self.motor.rotor_drag * self.hover_rotor_vel)
 
     @property
     def hubs(self) -> np.ndarray:
-        """Hub positions, body axes, (rotors, 3) [m]."""
+        """Positions of the hubs, body axes, (rotors, 3) [m]."""
         return np.array([rotor.position for rotor in self.rotors])
 
     @property
     def reactions(self) -> np.ndarray:
-        """Sense of the yaw reaction of each rotor, (rotors,): +1 along +z, for a clockwise one."""
+        """Sign of the yaw reaction torque of each rotor, (rotors,); +1 (along +z) for a clockwise rotor."""
         return np.array([1.0 if rotor.spin == "cw" else -1.0 for rotor in self.rotors])
 
     @property
     def allocation(self) -> np.ndarray:
-        """From squared rotor speeds [rad²/s²] to thrust [N] and roll, pitch, yaw torque [N m], (4, n)."""
+        """Matrix (4, rotors) from squared rotor speeds [rad²/s²] to thrust [N] and torque [N m]."""
         x, y, _ = self.hubs.T
         return self.motor.k_f * np.stack([np.ones(len(x)), y, -x, self.motor.k_m * self.reactions])
 
 
 def with_drag(vehicle: Vehicle, factor: float) -> Vehicle:
-    """The vehicle with this many times the drag of its rotors and of its frame."""
+    """Multiply the drag of rotors and frame by a factor."""
     if factor == 1.0:
         return vehicle
     return _scaled(vehicle, factor, rotor_drag=factor, rolling_moment=factor)
 
 
 def _scaled(vehicle: Vehicle, drag_area: float, **motor: float) -> Vehicle:
-    """The vehicle with its drag areas and numbers of its motors times these factors."""
+    """Multiply drag areas and motor constants by factors."""
     changed = {name: getattr(vehicle.motor, name) * factor for name, factor in motor.items()}
     areas = tuple(area * drag_area for area in vehicle.frame.drag_area)
     parts = {
@@ -157,9 +161,9 @@ def load_vehicle(source: str | Path) -> Vehicle:
 
 
 class Randomisation(Strict):
-    """Relative half-width of each number's range, drawn per flight: the factor is 1 + U(−r, r).
+    """Relative half-width r of the range of each constant. The factor 1 + U(−r, r) is drawn for each flight.
 
-    `randomise` draws the vehicle; `quadsim.flight.domain` the rest of a flight as well.
+    `randomise` draws the constants of the vehicle; `quadsim.flight.domain` draws the others.
     """
 
     mass: float = Field(
@@ -185,7 +189,7 @@ class Randomisation(Strict):
 
 
 def randomise(vehicle: Vehicle, ranges: Randomisation, rng: np.random.Generator) -> Vehicle:
-    """Draw one vehicle of the family around `vehicle`. Ranges of zero return the same numbers."""
+    """Draw one vehicle with constants around those of `vehicle`. Ranges of zero change nothing."""
 
     def factor(width: float) -> float:
         return 1.0 + width * rng.uniform(-1.0, 1.0)

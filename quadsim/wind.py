@@ -1,9 +1,10 @@
-"""Wind: constant, 1−cosine gusts, sinusoids, Dryden turbulence, and any sum of them.
+"""Wind: constant wind, 1−cosine gusts, sinusoids, Dryden turbulence, and sums of these.
 
-All are velocities of the air in world axes [m/s].
+A wind is the velocity of the air in world axes [m/s].
 
-Dryden turbulence is that of MIL-F-8785C at low altitude, driven by white noise and discretised exactly: it
-has the standard deviation and the spectrum of the continuous process at any rate, from the first sample on.
+Dryden turbulence is that of MIL-F-8785C at low altitude. The filters of white noise are discretised exactly:
+at any sample rate and from the first sample on, standard deviation and spectrum are those of the continuous
+process.
 """
 
 from collections.abc import Sequence
@@ -24,22 +25,25 @@ Seeds = Sequence[np.random.SeedSequence]
 
 FOOT = 0.3048
 LOW_ALTITUDE = (10.0 * FOOT, 1000.0 * FOOT)
-"""Altitudes between which the low-altitude model holds [m]; those outside are moved to the nearest end."""
+"""Range of altitudes for the low-altitude model [m]; altitudes outside are clipped."""
 MIN_AIRSPEED = 1.0
-"""Floor of the airspeed [m/s]: at rest relative to the air, turbulence would never change."""
+"""Smallest airspeed [m/s]; without airspeed, the turbulence would be constant."""
 
 
 @runtime_checkable
 class Drawn(Protocol):
-    """A wind that is drawn for each flight; the others have `series`, and are the same in all flights."""
+    """A random wind, drawn for each flight.
+
+    Other winds have the method `series` and are the same in all flights.
+    """
 
     def flights(self, time: Array, rate_hz: float, seeds: Seeds) -> Array:
-        """Velocity of the air (n, T, 3) at times (T,) [s], a flight for each seed."""
+        """Return the velocity of the air (n, T, 3) at times (T,) [s], for one flight per seed."""
         ...
 
 
 class Constant(Strict):
-    """Wind that does not change."""
+    """Constant wind."""
 
     kind: Literal["constant"] = "constant"
     velocity: Wind
@@ -51,7 +55,7 @@ class Constant(Strict):
 
 
 class Gust(Strict):
-    """A 1−cosine gust (MIL-F-8785C 3.7.3) that rises, holds, and falls in the same way."""
+    """A 1−cosine gust (MIL-F-8785C 3.7.3) that rises, stays at its peak, and falls."""
 
     kind: Literal["gust"] = "gust"
     velocity: Wind
@@ -78,29 +82,29 @@ class Dryden(Strict):
 
     kind: Literal["dryden"] = "dryden"
     airspeed: Speed
-    """Speed of the vehicle through the air [m/s]; in hover, the mean wind speed. At least 1 m/s is used."""
+    """Airspeed of the vehicle [m/s]; in hover, the mean wind speed. Values below 1 m/s count as 1 m/s."""
     altitude: Annotated[float, Between(0.0, 2e4, "m")]
-    """Height above ground [m]; 3.05 m to 304.8 m are used."""
+    """Height above ground [m]; values are clipped to 3.05 m to 304.8 m."""
     wind_20ft: Speed
-    """Wind speed at 20 ft [m/s], the strength: 7.7 light, 15.4 moderate, 23.2 severe."""
+    """Wind speed at 20 ft, which sets the strength [m/s]: 7.7 light, 15.4 moderate, 23.2 severe."""
 
     def flights(self, time: Array, rate_hz: float, seeds: Seeds) -> Array:
-        """Velocity of the air (n, T, 3), a flight for each seed."""
+        """Return the velocity of the air (n, T, 3), for one flight per seed."""
         numbers = self.airspeed, self.altitude, self.wind_20ft
         return dryden(len(seeds), time.size, rate_hz, *numbers, seed=seeds)
 
 
 class Sinusoid(Strict):
-    """A sinusoid of zero mean on each axis; each flight draws its three periods and phases."""
+    """A sinusoid with zero mean on each axis. Periods and phases are drawn for each flight."""
 
     kind: Literal["sinusoid"] = "sinusoid"
     amplitude: Wind
     """Largest velocity of the air on each axis [m/s]."""
     period_s: Annotated[tuple[Duration, Duration], Rising]
-    """Range of the periods [s], which are drawn log-uniformly."""
+    """Range of the periods, drawn log-uniformly [s]."""
 
     def flights(self, time: Array, rate_hz: float, seeds: Seeds) -> Array:
-        """Velocity A sin(2π t / T + φ) (n, T, 3), a flight for each seed, φ drawn uniformly."""
+        """Return the velocity A sin(2π t / T + φ) (n, T, 3), for one flight per seed, with uniform φ."""
         randoms = [np.random.default_rng(child(each, 0)) for each in seeds]
         low, high = np.log(self.period_s)
         period = np.exp([random.uniform(low, high, 3) for random in randoms])
@@ -110,13 +114,13 @@ class Sinusoid(Strict):
 
 
 WindSpec: TypeAlias = Annotated[Constant | Gust | Dryden | Sinusoid, Field(discriminator="kind")]
-"""Any wind of a TOML file, by its `kind`: "constant", "gust", "dryden" or "sinusoid"."""
+"""Wind of a TOML file, selected by `kind`: "constant", "gust", "dryden" or "sinusoid"."""
 
 
 def dryden_scales(altitude: ArrayLike, wind_20ft: ArrayLike) -> tuple[Array, Array, Array, Array]:
-    """Lengths L_u = L_v, L_w [m] and standard deviations σ_u = σ_v, σ_w [m/s] (MIL-F-8785C 3.7.3.4).
+    """Return scales L_u = L_v, L_w [m] and standard deviations σ_u = σ_v, σ_w [m/s] (MIL-F-8785C 3.7.3.4).
 
-    With k = 0.177 + 0.000823 h: L_w = h, L_u = h / k^1.2, σ_w = 0.1 W20, σ_u = σ_w / k^0.4, h in feet.
+    With k = 0.177 + 0.000823 h and h in feet, L_w = h, L_u = h / k^1.2, σ_w = 0.1 W20 and σ_u = σ_w / k^0.4.
 
     Args:
         altitude: Height above ground [m].
@@ -180,14 +184,14 @@ def _turbulence(tau: Array) -> NDArray[np.void]:
 def dryden(
     n: int, steps: int, rate_hz: float, airspeed: float, altitude: float, wind_20ft: float, seed: Seed
 ) -> Array:
-    """Dryden turbulence of zero mean, exact at any rate and stationary from the first sample (MIL-F-8785C).
+    """Simulate Dryden turbulence with zero mean (MIL-F-8785C), exact at any rate and stationary.
 
     Args:
         n: Number of vehicles.
         steps: Number of samples.
         rate_hz: Samples per second.
-        airspeed: Speed through the air, along world x [m/s]; at least 1 m/s is used.
-        altitude: Height above ground [m]; 3.05 m to 304.8 m are used.
+        airspeed: Airspeed along world x [m/s]; values below 1 m/s count as 1 m/s.
+        altitude: Height above ground [m]; values are clipped to 3.05 m to 304.8 m.
         wind_20ft: Wind speed at 20 ft [m/s].
         seed: Whole number, seed sequence, or one seed sequence per vehicle.
 
@@ -216,10 +220,10 @@ def dryden(
 
 
 def wind_series(specs: Sequence[WindSpec], n: int, steps: int, rate_hz: float, seed: Seed) -> Array:
-    """The sum of several winds from time 0 on, world axes, shape (n, steps, 3) [m/s]; none is still air.
+    """Return the sum of several winds from time 0, world axes, shape (n, steps, 3) [m/s].
 
     Args:
-        specs: Winds to add up.
+        specs: Winds to add. An empty sequence gives still air.
         n: Number of vehicles.
         steps: Number of samples.
         rate_hz: Samples per second.

@@ -1,4 +1,4 @@
-"""Compile before the first flight: every estimator is used for a moment, on all cores."""
+"""Compilation before the first flight, by a short run of every estimator on all cores."""
 
 import tempfile
 from collections.abc import Sequence
@@ -17,15 +17,15 @@ from .bench.cell import FlightSettings
 from .bench.runner import bench
 
 FLIGHTS, LENGTH_S = 2, 1.0
-"""What is generated to be estimated."""
+"""Size of the generated dataset."""
 
 
 def compile_estimators(names: Sequence[str], workers: int | None = None) -> None:
-    """Compile the simulator and estimators, or do nothing if they were compiled since the code changed.
+    """Compile the simulator and estimators, unless compiled code is up to date.
 
     Args:
         names: Estimators.
-        workers: Processes, by default one for each CPU.
+        workers: Number of processes, by default one per CPU.
     """
     done = store() / f"{fingerprint(code_digest('scenarios.bench.cell', 'estimators'), *names)[:12]}.compiled"
     if done.is_file():
@@ -41,6 +41,6 @@ def compile_estimators(names: Sequence[str], workers: int | None = None) -> None
 
 
 def use(name: str, folder: Path) -> None:
-    """Run an estimator over a short dataset, and fly a vehicle on it."""
+    """Run an estimator on a short dataset and in a short flight."""
     evaluate(open_dataset(folder / "flights.zarr"), [name])
     bench(["hover"], [name], folder / name, FlightSettings(FLIGHTS), {"duration_s": 0.1}, workers=1)

@@ -1,4 +1,4 @@
-"""One scenario with one estimator in detail: a report, every sample as CSV, a video and files for viewers."""
+"""One scenario with one estimator in detail: report, samples as CSV, video and files for viewers."""
 
 import re
 from collections.abc import Callable
@@ -26,20 +26,20 @@ from .bench.runner import NO_CHANGES, Changes
 from .report.page import write_report
 
 COLUMNS = ("t", "x", "y", "z", "roll", "pitch", "yaw", "roll_est", "pitch_est", "x_ref", "y_ref", "z_ref")
-"""Columns of the CSV file: SI units and radians."""
+"""Columns of the CSV file, in SI units and radians."""
 ONE_FLIGHT = FlightSettings()
 BIASES = {"": "bias", " estimated": "bias_est"}
-"""What the curves of the gyroscope's bias are called, and which signals they are."""
+"""Labels of the curves of the gyroscope bias, and their signals."""
 
 
 def file_name(name: str) -> str:
-    """A name as a part of a file's: of what is a path, or no plain name, its stem and a digest."""
+    """Convert a name to a part of a file name; for a path, the stem and a digest."""
     plain = re.sub(r"[^\w.-]", "-", Path(name).stem)
     return name if re.fullmatch(r"[\w-]+", name) else f"{plain}-{content_digest(name)[:8]}"
 
 
 class SingleFlight(NamedTuple):
-    """Results, and the files that show them."""
+    """Results of a single scenario and estimator, with the written files."""
 
     results: Results
     report: Path
@@ -59,7 +59,7 @@ def fly_scenario(
     progress: Callable[[int, int], object] | None = None,
     show: Callable[[Timeline], object] | None = None,
 ) -> SingleFlight:
-    """Simulate a scenario with attitude from one estimator, and write report, samples and video.
+    """Simulate a scenario with one estimator, and write report, samples and video.
 
     Args:
         source: A shipped scenario or the path of a TOML file.
@@ -73,10 +73,10 @@ def fly_scenario(
         show: Called with what viewers show of the first flight.
 
     Raises:
-        ValueError: For a bad argument or scenario file.
-        OSError: If a file cannot be written.
-        RuntimeError: If a video is required and there is no headless OpenGL; the other files are written by
-            then.
+        ValueError: An argument or the scenario file is invalid.
+        OSError: A file cannot be written.
+        RuntimeError: A video is required, but headless OpenGL is not available. The other files have been
+            written.
     """
     scenario, name = changed(load_scenario(source), changes), Path(source).name.removesuffix(".toml")
     mission = mission_of(scenario, estimator, settings)
@@ -109,7 +109,7 @@ def fly_scenario(
 
 
 def marks_of(flight: NDArray[np.void], flown: Flown, rate_hz: float) -> Marks:
-    """What the video shows of a flight's log (T,): the estimate with the true yaw, set-point and wind."""
+    """Return the estimate (with the true yaw), set-point and wind of a log (T,), for the video."""
     roll, pitch = flight["estimate"].T
     wind = np.stack([flown.signals[f"wind_{axis}"] for axis in "xyz"], axis=-1)
     wind = np.repeat(wind, decimation(rate_hz), axis=0)[: len(flight)]
@@ -117,7 +117,7 @@ def marks_of(flight: NDArray[np.void], flown: Flown, rate_hz: float) -> Marks:
 
 
 def timeline_of(flown: Flown, mission: Mission, name: str) -> Timeline:
-    """What viewers show of a mission's first flight, whose signals were taken at every sample."""
+    """Return the timeline of a mission's first flight, whose signals were recorded at every sample."""
     first = flown.log[0, : max(flown.end[0], 1)]
     signals = {key: each[: len(first)] for key, each in flown.signals.items()}
 

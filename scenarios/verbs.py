@@ -1,4 +1,4 @@
-"""The bodies of the verbs `bench`, `report` and `demo`: they fly, print and write."""
+"""Implementation of the verbs `bench`, `report` and `demo`."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -27,11 +27,11 @@ from .task.run import run_task
 from .task.specification import load_task
 
 DEMO = ("hover", "step", "wind-gust", "initial-tilt")
-"""Scenarios of the demonstration."""
+"""Scenarios of `quadsim demo`."""
 DEMO_S = 30.0
-"""Length of its generated flights [s]."""
+"""Length of the generated flights in `quadsim demo` [s]."""
 SLOW_FLIGHTS = 1
-"""Of these, those that filterpy's filters are scored on."""
+"""Number of generated flights on which filterpy's filters are scored."""
 
 
 def run_bench(
@@ -48,19 +48,19 @@ def run_bench(
     tuning: str | None,
     workers: int | None,
 ) -> None:
-    """Fly an experiment, write its tables and report, and print the verdict: `quadsim bench`.
+    """Fly an experiment, write tables and report, and print the verdict.
 
     Raises:
-        ValueError: For a bad argument or file, or where no cell ran.
-        OSError: If the results cannot be written.
+        ValueError: An argument or a file is invalid, or no cell ran.
+        OSError: The results cannot be written.
     """
     chosen = load_experiment(experiment)
     if chosen.seed is not None and seed is not None:
-        raise ValueError(f"{experiment} has a seed of its own: leave --seed out")
+        raise ValueError(f"{experiment} has its own seed: omit --seed")
     settings = FlightSettings(seeds or chosen.seeds, chosen.seed or seed or 0, rate_hz, tuning)
     if not names:
         left_out = ", ".join(f"{name} ({why})" for name, why in LEFT_OUT.items())
-        say(f"Without {left_out}; --estimator NAME chooses.")
+        say(f"Not included: {left_out}. To include one, give it by --estimator.")
     flown = contenders(names or default_estimators(), controllers)
     with alone(out):
         with recorded(out), progress_bar("fly", "cells") as progress:
@@ -78,11 +78,11 @@ def run_bench(
 def run_entries(
     out: Path, task: str, sources: Sequence[str], recordings: Path | None, workers: int | None
 ) -> None:
-    """Run a task for entries and write the leaderboard of all in the folder: `quadsim bench --task`.
+    """Run a task for entries and write the leaderboard of all entries in the folder.
 
     Raises:
-        ValueError: For a bad argument or file, or an entry that cannot be found.
-        OSError: If something cannot be written.
+        ValueError: An argument or a file is invalid, or an entry does not exist.
+        OSError: A file cannot be written.
     """
     wanted, out = load_task(task), out.expanduser()
     with alone(out):
@@ -97,12 +97,12 @@ def run_entries(
 
 
 def has_entries(folder: Path) -> bool:
-    """Whether a folder holds entries of a task."""
+    """Return whether a folder contains entries of a task."""
     return any(folder.glob(FILE)) or any(folder.glob(f"*/{FILE}"))
 
 
 def report_entries(folders: Sequence[Path], out: Path) -> None:
-    """Write the leaderboard of the entries in folders, and say which entry leads each track."""
+    """Write the leaderboard of the entries in folders, and print the leader of each track."""
     entries = find_entries(folders)
     page = write_leaderboard(out, entries)
     leaders = []
@@ -119,13 +119,13 @@ def report_entries(folders: Sequence[Path], out: Path) -> None:
 
 
 def report_benchmark(folder: Path, out: Path | None = None) -> None:
-    """Write the report of finished closed-loop flights again; a ValueError says if there are none."""
+    """Write the report of finished flights again; raise ValueError if there are none."""
     results = load_results(folder)
     print_verdict(publish(folder, results, out), results)
 
 
 def demo(out: Path, flights: int, seeds: int, seed: int, workers: int | None) -> None:
-    """Generate flights, score every estimator on them, fly it through four scenarios: `quadsim demo`."""
+    """Generate flights, score every estimator on them, and fly it in four scenarios."""
     names = default_estimators()
     recipe = load_recipe("hummingbird")
     path = out.expanduser() / "flights.zarr"
@@ -149,7 +149,7 @@ def demo(out: Path, flights: int, seeds: int, seed: int, workers: int | None) ->
 
 
 def print_verdict(page: Path, results: Results) -> None:
-    """Print the verdict: its table, its sentence after the path of the report, and what holds for both."""
+    """Print the verdict: the table, then the path of the report with the headline, then remarks."""
     judged = verdict(results)
     output.print(standings_table(judged))
     if results.axes.keys() <= results.experiment.sweeps.keys():
@@ -161,6 +161,6 @@ def print_verdict(page: Path, results: Results) -> None:
 
 
 def warn(results: Results) -> None:
-    """Print what speaks against the results."""
+    """Print warnings about the results."""
     for line in results.warnings:
         say(f"warning: {line}", "yellow")

@@ -176,5 +176,5 @@ def test_without_pytorch_all_but_training_runs_and_training_names_the_extra(tmp_
     command = [sys.executable, "-c", COMMANDS, *commands]
     done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True)
     assert done.returncode == 2
-    assert done.stderr.endswith('quadsim: this needs the package torch: pip install "quadsim[train]"\n')
+    assert done.stderr.endswith('quadsim: the package torch is missing: pip install "quadsim[train]"\n')
     assert all((tmp_path / name).exists() for name in ("scores", "flight"))

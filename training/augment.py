@@ -1,4 +1,4 @@
-"""Augmentation: the symmetries of a quadrotor, and readings of other IMUs of the same motion."""
+"""Augmentation by the symmetries of a quadrotor and by readings of other IMUs for the same motion."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from quadsim.imu.stream import Imus, simulate_imu
 Array = NDArray[np.floating]
 
 ROTORS_HZ = (60.0, 250.0)
-"""Range of the frequency of a rotor."""
+"""Range of the frequency of a rotor [Hz]."""
 WANDER_HZ = 3.0
-"""Standard deviation of that frequency within a stream."""
+"""Standard deviation of the frequency of a rotor within a stream [Hz]."""
 
 
 def turned_and_mirrored(
     ang_vel: Array, specific_force: Array, up: Array, rng: np.random.Generator
 ) -> tuple[Array, Array, Array]:
-    """The motion in other body axes: turned about z by any angle, and half of the streams mirrored in y.
+    """Rotate the motion about body z by a random angle, and mirror half of the streams in y.
 
-    Neither changes the physics of a quadrotor.
+    Neither operation changes the physics of a quadrotor.
 
     Args:
         ang_vel: Body rate, shape (n, T, 3) [rad/s].
-        specific_force: Shape (n, T, 3) [m/s²].
-        up: World's up in body axes, shape (n, T, 3).
-        rng: Source of all draws.
+        specific_force: Specific force, shape (n, T, 3) [m/s²].
+        up: World's z axis in body axes, shape (n, T, 3).
+        rng: Random generator.
     """
     n, dtype = len(ang_vel), ang_vel.dtype
     angle = rng.uniform(0, 2 * np.pi, n)
@@ -41,16 +41,16 @@ def turned_and_mirrored(
 def measured(
     imus: Imus, ang_vel: Array, specific_force: Array, rate_hz: float, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Readings of other IMUs of the same motion.
+    """Simulate readings of other IMUs for the same motion.
 
-    Streams have no rotor speeds: IMUs with vibration feel two rotors of random speeds.
+    Streams have no rotor speeds, so vibration is that of two rotors with random speeds.
 
     Args:
-        imus: The IMU, or one for each stream.
+        imus: The IMU, or one per stream.
         ang_vel: True body rate, shape (n, T, 3) [rad/s].
         specific_force: True specific force, shape (n, T, 3) [m/s²].
         rate_hz: Samples per second.
-        rng: Source of all draws.
+        rng: Random generator.
 
     Returns:
         Gyroscope and accelerometer readings, (n, T, 3) each, in the type of the input.
@@ -64,7 +64,7 @@ def measured(
 
 
 def _rotor_speeds(n: int, steps: int, rng: np.random.Generator) -> Array:
-    """Speeds of two rotors that wander, (n, T, 2) [rad/s]."""
+    """Return the slowly varying speeds of two rotors, (n, T, 2) [rad/s]."""
     wander = rng.standard_normal((n, -(-steps // 20), 2)).cumsum(axis=1)
     wander = np.repeat(wander / np.sqrt(wander.shape[1]), 20, axis=1)[:, :steps]
     return 2 * np.pi * (rng.uniform(*ROTORS_HZ, (n, 1, 2)) + WANDER_HZ * wander)

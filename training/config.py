@@ -1,4 +1,4 @@
-"""What can be chosen about a training run; the presets are the files of `assets/presets`."""
+"""Configuration of a training run; `assets/presets` contains the presets."""
 
 from __future__ import annotations
 
@@ -22,25 +22,25 @@ Window = Annotated[float, Between(0.01, 3600.0, "s")]
 Scale = Annotated[float, Between(1e-3, 1e4, "rad/s²")]
 SNN = "att-snn"
 EPOCH_UPDATES = 500
-"""Updates in an epoch of a circuit."""
+"""Number of updates in an epoch of a circuit."""
 
 
 class Optimisation(NamedTuple):
-    """How an optimiser's parameters and steps are chosen."""
+    """Parametrisation and step sizes of the optimiser."""
 
     logits: bool
-    """Whether parameters are logits of τ and weights over the root mean square of their row; else, as in the
-    paper's published code, 1 - τ, and weights over 1 - τ_mem (att-snn)."""
+    """Whether the trained parameters are logits of τ, and weights divided by the RMS of their row. Otherwise,
+    they are 1 - τ, and weights divided by 1 - τ_mem, as in the paper's published code (att-snn)."""
     layer_steps: tuple[float, float, float]
     """Factors of the learning rate for the encoding, the hidden and the output weights (att-snn)."""
     adam_beta2: float
     """Decay of Adam's second moment."""
     cosine: bool
-    """Whether the learning rate falls over the epochs, by half a cosine down to a hundredth."""
+    """Whether the learning rate decreases over the epochs, by half a cosine to a hundredth."""
     clip: float
     """Largest norm of the gradient."""
     stop_early: bool
-    """Whether the paper's rules stop a run, see `training.optim.finished`."""
+    """Whether the paper's rules stop a run; see `training.optim.finished`."""
 
 
 OPTIMISATIONS = {
@@ -50,42 +50,43 @@ OPTIMISATIONS = {
 
 
 class ControlSettings(Strict):
-    """Training flights of a controller: first those of a teacher, then its own, which the teacher labels."""
+    """Training flights of a controller: flights by a teacher, then labelled flights by the controller."""
 
     recipe: str = "control"
-    """Flights: a shipped recipe or a TOML file. Its vehicle and IMU are the controller's."""
+    """Recipe of the flights: a shipped name or a TOML file. It also defines vehicle and IMU of the
+    controller."""
     set_point: SetPointScaling = SetPointScaling()
-    """Scaling and limits of the set-points, and the bound of the outputs."""
+    """Scaling and limits of the set-points, and bound of the outputs."""
     error_scale: tuple[Scale, Scale, Scale] = (10.0, 10.0, 2.0)
-    """Errors about roll, pitch and yaw that weigh the same in the loss [rad/s²]."""
+    """Errors about roll, pitch and yaw with equal weight in the loss [rad/s²]."""
     flights: Number = 24
-    """Number of flights by the teacher, for the first round."""
+    """Number of flights by the teacher in the first round."""
     flight_s: Annotated[float, Between(0.01, 60.0, "s")] = 16.0
     """Length of a flight [s]."""
     rounds: Annotated[int, Between(0, 100)] = 11
-    """Further rounds, in each of which the student flies too and the teacher labels its flights (DAgger, Ross
-    et al. 2011)."""
+    """Number of further rounds, in which the student also flies and the teacher labels the flights (DAgger,
+    Ross et al. 2011)."""
     round_flights: Number = 40
     """Number of flights that each further round adds."""
     teacher_share: Share = 0.3
-    """Share of the time for which the teacher flies: this number to the power k in further round k."""
+    """Base b of the share of the time for which the teacher flies, which is b^k in further round k."""
     validation_flights: Number = 24
-    """Number of flights by the student alone after each epoch, which select the best epoch."""
+    """Number of flights by the student after each epoch, which select the best epoch."""
 
 
 class TrainingRecipe(Layers):
-    """How a network is trained: what a preset may set. The defaults are the paper's recipe."""
+    """Settings of a preset for a network of layers. The defaults are the paper's recipe."""
 
     finest_exponent: Annotated[int, Between(WEIGHT_EXP_MIN, 0)] = 0
-    """Least exponent of the weights into a hidden neuron: steps of 1/128 times 2 to that power, where all of
-    the neuron's weights are small enough (att-snn)."""
+    """Smallest exponent e of the weights into a hidden neuron. If all weights of the neuron are small enough,
+    they have steps of 2^e / 128 (att-snn)."""
     inputs: InputScaling = PAPER_SCALING
-    """Scaling of the six inputs."""
+    """Scaling of the readings."""
     fixed_taus: bool = False
-    """Train only the weights and keep the initial time constants (att-snn)."""
+    """Whether to train only the weights and keep the initial time constants (att-snn)."""
     optimisation: Literal["paper", "layered"] = "paper"
-    """The parameters, steps and end of the paper's published code; or parameters relative to their size,
-    small steps of the later layers and a learning rate that falls (`training.config.OPTIMISATIONS`)."""
+    """Optimisation as in the paper's published code; or with relative parameters, small steps of later layers
+    and a decreasing learning rate (`training.config.OPTIMISATIONS`)."""
     optimiser_lr: Annotated[float, Between(1e-9, 10.0)] = 0.005
     """Learning rate of Adam."""
 
@@ -98,35 +99,35 @@ class TrainingRecipe(Layers):
     window_s: Window = 10.0
     """Length of a window [s]."""
     windows_per_stream: Number = 1
-    """Maximum number of successive windows over which the state continues (truncated backpropagation)."""
+    """Largest number of successive windows over which the state continues (truncated backpropagation)."""
     imu: NamedImu = ImuSpec(gyro=Sensor(noise=3.394e-4), accel=Sensor(noise=0.004, turn_on=0.196))
-    """Sensor errors, drawn for every stream of an attitude estimator; the paper's are those of RotorS'
+    """IMU whose errors are drawn for every stream of an attitude estimator. The paper used RotorS'
     ADIS16448."""
     control: ControlSettings = ControlSettings()
-    """Flights of a controller."""
+    """Training flights of a controller."""
     huber_threshold: Annotated[float, Between(0.0, 10.0, "rad")] = 0.0
-    """Error above which the loss is linear, not quadratic, so that the unavoidable errors after an unknown
-    initial attitude weigh less [rad]; 0: quadratic everywhere."""
+    """Error above which the loss is linear instead of quadratic, so that unavoidable errors after an unknown
+    start have less weight [rad]; 0: quadratic everywhere."""
     rate_cost: Annotated[float, Between(0.0, 1e6)] = 0.0
-    """Weight of the spike rates above their targets [rad² per spike, neuron and step]."""
+    """Weight of spike rates above their targets [rad² per spike, neuron and step]."""
     rate_targets: tuple[Share, Share] = (0.1, 0.1)
-    """Spikes per neuron and step that cost nothing, encoding and hidden layer."""
+    """Spikes per neuron and step without a cost, for encoding and hidden layer."""
 
     @property
     def method(self) -> Optimisation:
-        """What `optimisation` stands for."""
+        """Settings that `optimisation` selects."""
         return OPTIMISATIONS[self.optimisation]
 
 
 class FlightSet(Variant):
-    """Flights of a recipe."""
+    """A set of training flights of a recipe."""
 
     flights: dict[str, Number] = Field(min_length=1)
     """Number of flights of each vehicle."""
 
 
 class CircuitTraining(Strict):
-    """How a circuit is trained, as in `assets/presets/att-snn.toml`."""
+    """Settings of a preset for a circuit, such as `assets/presets/att-snn.toml`."""
 
     vectors: Annotated[int, Between(4, 64)] = 6
     """Number of rotating vectors."""
@@ -135,7 +136,7 @@ class CircuitTraining(Strict):
     streams: Number = 1536
     """Number of streams; the sensor errors of each are drawn once."""
     window_s: Annotated[float, Between(0.1, 600.0, "s")] = 40.0
-    """Length of a stream, over which exact gradients are computed [s]."""
+    """Length of a stream, over which the gradient is computed [s]."""
     flight_sets: tuple[FlightSet, ...] = ()
     """Training flights of 60 s that are generated if no data are given."""
     hand_share: Share = 0.4
@@ -155,25 +156,25 @@ class CircuitTraining(Strict):
     learning_rate: Annotated[float, Between(1e-6, 1.0)] = 0.02
     """Highest learning rate of Adam."""
     imu: NamedImu = ImuSpec()
-    """The worst IMU: each stream's has errors that are random parts of it (`training.circuit.imus`)."""
+    """The worst IMU. The IMU of each stream has random shares of its errors (`training.circuit.imus`)."""
     init: str = ""
-    """Circuit to continue from, in place of the equation: a file or a shipped name; it has the vectors and
-    the gates."""
+    """Circuit to continue training, as a file or a shipped name, instead of the initial circuit. It must have
+    the same numbers of vectors and gates."""
 
 
 class Run(Strict):
-    """What every training run has beside its recipe."""
+    """Settings of every training run."""
 
     data: tuple[str, ...] = ()
-    """Datasets to train on; a controller has none."""
+    """Datasets to train on; none for a controller."""
     validation: tuple[str, ...] = ()
-    """Datasets to choose the best epoch by; none: a part of `data`, 70/20/10 by flight. Of a circuit: to
-    report the error on; they choose nothing."""
+    """Datasets that select the best epoch; by default, a part of `data` (70/20/10 by flight). For a circuit,
+    the datasets only report the error."""
     seed: Annotated[int, Between(0, 2**63 - 1)] = 0
-    """Of all that is random: initial weights, split, windows or streams, sensor errors."""
+    """Seed of all random numbers: initial weights, split, windows or streams, sensor errors."""
 
     def check(self, own_flights: bool) -> None:
-        """Refuse a reserved seed, and a run without data that does not make flights of its own."""
+        """Refuse a reserved seed, and a run without data that does not generate flights."""
         unreserved(self.seed)
         if not (self.data or own_flights):
             raise ValueError(
@@ -191,7 +192,7 @@ class CircuitRun(Run, CircuitTraining):
 
     @property
     def epochs(self) -> int:
-        """Epochs of `EPOCH_UPDATES` updates; the last one may have fewer."""
+        """Number of epochs of `EPOCH_UPDATES` updates; the last epoch may have fewer."""
         return -(-self.updates // EPOCH_UPDATES)
 
 
@@ -199,9 +200,9 @@ class TrainConfig(Run, TrainingRecipe):
     """A training run of a network of layers."""
 
     model: Literal["att-snn", "att-rnn"] = SNN
-    """Spiking network, or its non-spiking twin."""
+    """The spiking network, or the GRU network."""
     preset: str = "paper"
-    """Preset that the other values started from: a shipped name or a TOML file."""
+    """Preset of the run: a shipped name or a TOML file."""
 
     @property
     def controls(self) -> bool:
@@ -233,16 +234,16 @@ class TrainConfig(Run, TrainingRecipe):
         return self
 
     def steps(self, rate_hz: float) -> int:
-        """Samples of a window."""
+        """Number of samples in a window."""
         return round(self.window_s * rate_hz)
 
     def round_of(self, epoch: int) -> int:
-        """Round of a controller's flights that an epoch, counted from 0, belongs to."""
+        """Return the round of a controller's flights for an epoch, counted from 0."""
         return epoch * (self.control.rounds + 1) // self.epochs
 
 
 def is_of_circuit(preset: str | Path) -> bool:
-    """Whether a preset, one that ships or a TOML file, has keys that only circuits have."""
+    """Return whether a preset, shipped or a TOML file, is that of a circuit."""
     shipped = str(preset) in preset_names("presets")
     file = shipped_folder("presets") / f"{preset}.toml" if shipped else Path(preset)
     try:
@@ -253,14 +254,14 @@ def is_of_circuit(preset: str | Path) -> bool:
 
 
 def make_config(preset: str | Path = "paper", **choices: Any) -> TrainConfig | CircuitRun:
-    """A configuration from a preset and what differs from it.
+    """Make a configuration from a preset and changes.
 
     Args:
         preset: Name of a shipped preset, or a TOML file.
-        choices: Fields of `TrainConfig` or `CircuitRun`; of a table, only the keys that are given change.
+        choices: Changed fields of `TrainConfig` or `CircuitRun`; in a table, only the given keys change.
 
     Raises:
-        ValueError: One line: an unknown preset or field, or a value out of range.
+        ValueError: The preset or a field is unknown, or a value is out of range.
     """
     for name in {"data", "validation"} & choices.keys():
         paths = choices[name]

@@ -1,4 +1,4 @@
-"""The task of attitude estimators: flights in memory, their split, windows that follow one another."""
+"""The training of attitude estimators: flights in memory, their split, and successive windows."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ SIGNALS = ("ang_vel", "specific_force", "gyro", "accel", "up")
 
 @dataclass(frozen=True)
 class TrainingFlights:
-    """Flights of equal length; float32, shape (n, T, 3), body axes."""
+    """Flights of equal length, float32, shape (n, T, 3), body axes."""
 
     ang_vel: Float32
     """True body rate [rad/s]; `gyro` is the measured one."""
@@ -45,11 +45,11 @@ class TrainingFlights:
     gyro: Float32
     accel: Float32
     up: Float32
-    """World's up."""
+    """World's z axis in body axes."""
     rate_hz: float
     """Samples per second."""
     vehicles: tuple[str, ...] = ()
-    """Names of the airframes that flew, where they are known."""
+    """Names of the airframes, if known."""
 
     def __len__(self) -> int:
         """Number of flights."""
@@ -61,25 +61,25 @@ class TrainingFlights:
         return roll_pitch_of_up(self.up)
 
     def digest(self) -> str:
-        """A fingerprint of all samples."""
+        """Return the digest of all samples."""
         digest = hashlib.blake2b(f"{self.rate_hz}".encode(), digest_size=16)
         for name in SIGNALS:
             digest.update(np.ascontiguousarray(getattr(self, name)).data)
         return digest.hexdigest()
 
     def select(self, ids: Sequence[int] | NDArray[np.int64]) -> TrainingFlights:
-        """Some of the flights."""
+        """Return some of the flights."""
         index = np.asarray(ids, dtype=np.int64)
         signals = (getattr(self, name)[index] for name in SIGNALS)
         return TrainingFlights(*signals, rate_hz=self.rate_hz, vehicles=self.vehicles)
 
 
 def load_training_flights(paths: Sequence[str | Path]) -> TrainingFlights:
-    """Read the complete flights of one or more datasets (a flight that ended early is left out).
+    """Read the complete flights of one or more datasets; flights that ended early are left out.
 
     Raises:
-        FileNotFoundError: A dataset is not there.
-        ValueError: Not a dataset, different rates or lengths, or no complete flight.
+        FileNotFoundError: A dataset does not exist.
+        ValueError: A path is not a dataset, datasets differ in rate or length, or no flight is complete.
     """
     parts = [_read(Path(path)) for path in paths]
     rates = {part.rate_hz for part in parts}
@@ -109,10 +109,10 @@ def _read(path: Path) -> TrainingFlights:
 
 
 def flights_of(config: TrainConfig) -> tuple[TrainingFlights, TrainingFlights, TrainingFlights]:
-    """The flights to train on, to choose the best epoch by, and to test on (none with `validation`).
+    """Return the flights for training, validation and testing; with `validation`, no test flights.
 
     Raises:
-        ValueError: Too few flights, or too short ones, or datasets that do not go together.
+        ValueError: There are too few flights, flights are too short, or the datasets are not compatible.
     """
     flights = load_training_flights(config.data)
     steps, available = config.steps(flights.rate_hz), flights.gyro.shape[1]
@@ -132,10 +132,10 @@ def flights_of(config: TrainConfig) -> tuple[TrainingFlights, TrainingFlights, T
 
 
 def split(flights: int, seed: int) -> list[NDArray]:
-    """Ids of 70 % training, 20 % validation and 10 % test flights, without replacement; at least one each.
+    """Draw 70 % training, 20 % validation and 10 % test flights without replacement, at least one each.
 
     Raises:
-        ValueError: Fewer than three flights.
+        ValueError: There are fewer than three flights.
     """
     if flights < 3:
         raise ValueError(f"a split needs at least 3 flights, got {flights}")
@@ -145,7 +145,7 @@ def split(flights: int, seed: int) -> list[NDArray]:
 
 
 COHORTS = 8
-"""Parts of a batch whose streams begin and end together."""
+"""Number of parts of a batch whose streams begin and end together."""
 
 
 class Batch(NamedTuple):
@@ -156,21 +156,26 @@ class Batch(NamedTuple):
     accel: Float32
     """Measured specific force (n, T, 3) [m/s²]."""
     target: Float32
-    """What the outputs should be after each sample, (n, T, outputs)."""
+    """Target of the outputs after each sample, (n, T, outputs)."""
     reset: NDArray[np.bool_]
-    """Streams (n,) that begin here, from a state of zero; the others continue from the last window."""
+    """Streams (n,) that begin with this window, from a state of zero; the others continue from the last
+    window."""
     set_point: Float32 | None = None
-    """Of a controller, (n, T, 4)."""
+    """Set-points of a controller (n, T, 4)."""
 
 
 Draw = Callable[[int, int, np.random.Generator], tuple[NDArray, ...]]
-"""Called as draw(n, length, rng): parts of n flights, what `Batch` has but for `reset`, (n, length, ·)."""
+"""Called as draw(n, length, rng): returns parts of n flights, the fields of `Batch` except `reset`, (n,
+length, ·)."""
 
 
 def windows(
     flights: TrainingFlights, config: TrainConfig, steps: int, seed: Sequence[int]
 ) -> Iterator[Batch]:
-    """The windows of an epoch, see `windows_of`; the IMU is drawn once per stream, noise per sample."""
+    """Return the windows of an epoch; see `windows_of`.
+
+    The IMU is drawn once per stream, noise per sample.
+    """
 
     def draw(n: int, length: int, rng: np.random.Generator) -> tuple[NDArray, ...]:
         rows = rng.integers(len(flights), size=n)[:, None]
@@ -186,17 +191,17 @@ def windows(
 def windows_of(
     draw: Draw, longest: int, config: TrainConfig, steps: int, seed: Sequence[int]
 ) -> Iterator[Batch]:
-    """The windows of an epoch: streams start anywhere in any flight, and each is cut into successive windows.
+    """Yield the windows of an epoch: streams start anywhere in a flight and are cut into windows.
 
-    Streams differ in length, from one window to `windows_per_stream`, log-uniform: every batch has some that
-    have just begun and some that have long settled.
+    The length of a stream is log-uniform, from one window to `windows_per_stream`, so that every batch has
+    streams that have just begun and streams that have settled.
 
     Args:
-        draw: Draws streams.
-        longest: Samples of the longest flight; `windows_per_stream` is less where it is shorter.
-        config: Of the run.
-        steps: Samples of a window.
-        seed: Of the epoch.
+        draw: Function that draws streams.
+        longest: Number of samples of the longest flight, which limits `windows_per_stream`.
+        config: Configuration of the run.
+        steps: Number of samples in a window.
+        seed: Seed of the epoch.
     """
     most = min(config.windows_per_stream, longest // steps)
     sizes = [len(part) for part in np.array_split(np.arange(config.batch_size), COHORTS) if len(part)]
@@ -213,7 +218,7 @@ def windows_of(
 def _streams(
     draw: Draw, n: int, steps: int, most: int, rng: np.random.Generator
 ) -> Iterator[tuple[NDArray, ...]]:
-    """Windows of `n` streams of one length, then of `n` others, in the order of `Batch`."""
+    """Yield windows of `n` streams of equal length, then of `n` others, with the fields of `Batch`."""
     while True:
         length = int(np.exp(rng.uniform(0, np.log(most + 1)))) * steps
         signals = draw(n, length, rng)
@@ -223,7 +228,7 @@ def _streams(
 
 
 def network_inputs(config: TrainConfig, batch: Batch, state: NDArray[np.void] | None = None) -> Tensor:
-    """Scaled inputs, shape (n, T, inputs); `state` as in `scaled_inputs`."""
+    """Return scaled inputs, shape (n, T, inputs); `state` is as in `scaled_inputs`."""
     x = scaled_inputs(config.inputs, batch.gyro, batch.accel, state)
     if config.model == "att-rnn":
         return torch.from_numpy(x.astype(np.float32))
@@ -234,17 +239,17 @@ def network_inputs(config: TrainConfig, batch: Batch, state: NDArray[np.void] | 
 
 
 SETTLED_S = 5.0
-"""Time after an unknown initial attitude that `settled_deg` leaves out [s]."""
+"""Time after the start that `settled_deg` leaves out [s]."""
 
 
 class AttitudeTask:
-    """What a network of layers learns: flights, inputs and targets, and how it is judged.
+    """The training of a network of layers as an attitude estimator: flights, inputs, targets and validation.
 
-    Here roll and pitch from readings of an IMU; `training.control.task` has those of controllers.
+    `training.control.task` has the corresponding class for controllers.
     """
 
     scale = (1.0,)
-    """Errors of the outputs that weigh the same in the loss."""
+    """Errors of the outputs with equal weight in the loss."""
 
     def __init__(self, config: TrainConfig) -> None:
         self.config = config
@@ -252,11 +257,11 @@ class AttitudeTask:
         self.rate_hz = self.flights.rate_hz
 
     def contents(self) -> dict[str, str]:
-        """Digests of the flights, so that a run on others is refused."""
+        """Return the digests of the flights, so that a run cannot continue with others."""
         return {"data": self.flights.digest(), "validation": self.validation.digest()}
 
     def initial_model(self) -> AttSNN | AttRNN:
-        """The network before the first update."""
+        """Return the initial network."""
         if self.config.model == "att-rnn":
             return AttRNN(self.config)
         model = AttSNN(self.config)
@@ -264,15 +269,16 @@ class AttitudeTask:
         return model
 
     def windows(self, epoch: int, student: Any) -> Iterator[Batch]:
-        """The windows of an epoch, counted from 0; no student flies."""
+        """Return the windows of an epoch, counted from 0; the student is not used."""
         steps = self.config.steps(self.rate_hz)
         return windows(self.flights, self.config, steps, (self.config.seed, 1, epoch))
 
     def validate(self, network: NetworkConfig, tensors: Tensors) -> dict[str, float]:
-        """Errors over complete validation flights, unknown initial attitude.
+        """Return errors over complete validation flights from an unknown start.
 
-        `loss` chooses the best epoch: the mean square error [rad²]. `error_deg`: mean absolute error of roll
-        and pitch; `settled_deg`: the same without the first 5 s; `inclination_deg`: RMS inclination error.
+        `loss` is the mean square error [rad²] and selects the best epoch. `error_deg` is the mean absolute
+        error of roll and pitch, `settled_deg` the same without the first 5 s, and `inclination_deg` the RMS
+        inclination error.
         """
         core = Spiking(network, tensors) if network.model == "att-snn" else Recurrent(network, tensors)
         estimator = NetworkEstimator(core, network.rate_hz)

@@ -1,8 +1,8 @@
-"""The training loop: epochs of updates, validation, checkpoints.
+"""The training loop: epochs of updates, validation and checkpoints.
 
-A run's folder holds `config.json`, `contents.json` (digests of what it reads), `log.csv` (a row per epoch),
-`checkpoint.pt`, `best.safetensors`, `curve.png` and, of a controller, the flights of each round. A run that
-was stopped continues from its checkpoint and ends with the same weights.
+The folder of a run contains `config.json`, `contents.json` (digests of its inputs), `log.csv` (a row per
+epoch), `checkpoint.pt`, `best.safetensors`, `curve.png` and, for a controller, the flights of each round. A
+run that was stopped continues from its checkpoint and ends with the same weights.
 """
 
 from __future__ import annotations
@@ -40,18 +40,18 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 DIVERGED = "training diverged"
-"""Beginning of the reason of a run that ended at a loss or weights that are not finite."""
+"""Start of the reason if a run ended because the loss or the weights were not finite."""
 INTERRUPTED = "interrupted"
-"""Reason of a run that Ctrl-C ended; the same command continues it."""
+"""Reason if Ctrl-C ended a run; the same command continues it."""
 
 Config = TrainConfig | CircuitRun
 Progress = Callable[[Epoch, Config], None]
 Student = Callable[[], tuple[NetworkConfig, Tensors]]
-"""The network so far."""
+"""The network in training."""
 
 
 def learner_of(config: Config, out: Path) -> Training | CircuitLearner:
-    """What the run in a folder trains, with its datasets read."""
+    """Return the learner of a run in a folder, with its datasets loaded."""
     if isinstance(config, CircuitRun):
         from .circuit.train import CircuitLearner
 
@@ -65,13 +65,13 @@ def learner_of(config: Config, out: Path) -> Training | CircuitLearner:
 
 @dataclass(frozen=True)
 class Result:
-    """How a run ended."""
+    """Result of a run."""
 
     weights: Path
     """File of the best epoch's weights."""
     best: Epoch
     reason: str
-    """Why it ended."""
+    """Reason for the end of the run."""
 
 
 def train(
@@ -85,16 +85,16 @@ def train(
     """Train a network, or continue a run that was stopped.
 
     Args:
-        model: "att-snn" or "att-rnn"; a circuit is both.
-        data: One dataset or several; none for a controller, nor for a circuit whose preset lists flights.
-        out: Folder of the run.
+        model: "att-snn" or "att-rnn", for networks of layers.
+        data: One or several datasets. A controller, or a circuit whose preset defines flights, needs none.
+        out: Folder for the results.
         preset: Name of a shipped preset, or a TOML file.
         progress: Called after every epoch.
-        choices: Fields of `TrainConfig` or `CircuitRun` that differ from the preset.
+        choices: Fields of `TrainConfig` or `CircuitRun` that replace those of the preset.
 
     Raises:
-        ValueError: A bad choice or dataset, or another run's folder.
-        FileNotFoundError: A dataset, or weights, are not there.
+        ValueError: A choice or a dataset is invalid, or `out` contains another run.
+        FileNotFoundError: A dataset or a weights file does not exist.
     """
     return run(make_config(preset, model=model, data=data, **choices), Path(out), progress)
 
@@ -105,7 +105,7 @@ def run(
     progress: Progress | None = None,
     generated: FlightsProgress = lambda done, total: None,
 ) -> Result:
-    """As `train`, from a complete configuration; `generated` is called as flights of its own are made."""
+    """Train with a complete configuration; `generated` is called while flights are generated."""
     with alone(out):
         if isinstance(config, CircuitRun) and not config.data:
             from .circuit.flight_sets import own_flights
@@ -128,10 +128,10 @@ def run(
 
 
 def _restored(learner: Training | CircuitLearner, out: Path) -> list[Epoch]:
-    """Continue from a folder's checkpoint, if there is one; the epochs so far.
+    """Continue from a checkpoint, if there is one, and return the finished epochs.
 
     Raises:
-        ValueError: It is damaged or of another version, or the weights beside it are missing.
+        ValueError: The checkpoint is damaged or of another version, or the weights are missing.
     """
     if not (out / "checkpoint.pt").is_file():
         return []
@@ -147,7 +147,7 @@ def _restored(learner: Training | CircuitLearner, out: Path) -> list[Epoch]:
 
 
 def _best(config: Config, history: list[Epoch]) -> Epoch:
-    """The epoch whose weights are kept: of a circuit the last."""
+    """Return the epoch whose weights are kept; for a circuit, the last one."""
     return history[-1] if isinstance(config, CircuitRun) else min(history, key=Epoch.rank)
 
 
@@ -158,7 +158,7 @@ def _all_epochs(
     out: Path,
     progress: Progress | None,
 ) -> str:
-    """Train, validate and save until something ends the run; the reason."""
+    """Train, validate and save until the run ends; return the reason."""
     stops = isinstance(config, TrainConfig) and config.method.stop_early
     try:
         while len(history) < config.epochs:
@@ -189,7 +189,7 @@ def _all_epochs(
 
 
 class Training:
-    """A network of layers that learns a task, and its optimiser."""
+    """Training of a network of layers on a task."""
 
     def __init__(self, config: TrainConfig, task: AttitudeTask | ControlTask) -> None:
         self.config, self.task, self.contents = config, task, task.contents
@@ -197,13 +197,13 @@ class Training:
         self._scale = torch.tensor(task.scale)
 
     def begin(self) -> None:
-        """Make the network before the first update, and the optimiser."""
+        """Make the initial network and the optimiser."""
         torch.manual_seed(self.config.seed)
         self.model = self.task.initial_model()
         self.optimiser = new_optimiser(self.model, self.config)
 
     def exported(self, note: dict[str, Any] | None = None) -> tuple[NetworkConfig, Tensors]:
-        """The slow weights as an estimator, or a controller, runs them."""
+        """Return the slow weights in the format of estimators and controllers."""
         with self.optimiser.evaluated():
             fields = {"rate_hz": self.task.rate_hz, "training": note or {}}
             return self.model.network.model_copy(update=fields), self.model.tensors()
@@ -231,7 +231,7 @@ class Training:
         )
 
     def _update(self, batch: Batch) -> tuple[float, list[float]]:
-        """One step of the optimiser; the mean square error before it and the layers' spike rates."""
+        """Run one step of the optimiser; return the previous mean square error and spike rates."""
         config, model = self.config, self.model
         self._input_state[batch.reset] = 0.0
         outputs, rates = model(network_inputs(config, batch, self._input_state), batch.reset)
@@ -246,7 +246,7 @@ class Training:
         return float(error_loss(outputs.detach() / self._scale, target)), rates.tolist()
 
     def save(self, file: Path, note: dict[str, Any]) -> None:
-        """Write the slow weights; the file says `note` of them."""
+        """Write the slow weights; `note` is stored in the file."""
         save_network(file, *self.exported(note | self.task.note()))
 
     def state_dict(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Att-SNN over a window as a function of PyTorch, by compiled kernels whose buffers are reused."""
+"""Att-SNN over a window as a PyTorch function, with compiled kernels and reused buffers."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from .window_kernels import Floats, Trace, backward_window, forward_window, new_
 
 
 class Fused:
-    """Runs windows of Att-SNN; windows of one shape continue from each other.
+    """Runs windows of Att-SNN; successive windows of the same shape continue from each other.
 
     Args:
-        quantised: Whether to compute as the chip does, from weights on its grid.
-        recurrent_delay: Of the recurrent connection, 1 or 2 steps.
+        quantised: Whether to compute as on the chip, with weights on its grid.
+        recurrent_delay: Delay of the recurrent connection, 1 or 2 steps.
     """
 
     def __init__(self, quantised: bool = True, recurrent_delay: int = 1) -> None:
@@ -30,13 +30,13 @@ class Fused:
     def forward(
         self, x: Tensor, weights: Weights[Tensor], reset: NDArray[np.bool_] | None = None
     ) -> tuple[Tensor, Tensor]:
-        """Run a window, whose trace for the gradient is lost when another one runs.
+        """Run a window. The next call overwrites its trace for the gradient.
 
         Args:
             x: Scaled input (for the quantised network in steps of 2^-10), shape (n, T, inputs).
             weights: Weights and time constants.
-            reset: Sequences (n,) that start from rest, the others where the last window ended, if it had this
-                shape. None: all.
+            reset: Sequences (n,) that start from rest; None for all. The others continue from the last
+                window, if it had the same shape.
 
         Returns:
             Output potentials in units of 1.0, shape (n, T, outputs), and the mean spikes per neuron and step
@@ -50,13 +50,13 @@ class Fused:
         return _Window.apply(self, x, *weights)  # pyright: ignore[reportReturnType]
 
     def spikes(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Spikes of the encoding (n, T, h0) and of the hidden layer (n, T, h1) in the last window."""
+        """Return spikes of the encoding (n, T, h0) and the hidden layer (n, T, h1) in the last window."""
         h0, h1, _ = self.sizes
         fired = self.trace.v[2:].transpose(1, 0, 2) > self.thresholds
         return fired[..., :h0], fired[..., h0 : h0 + h1]
 
     def peak_currents(self, every: int = 1) -> tuple[Floats, Floats]:
-        """Largest currents of both layers in every so many steps."""
+        """Return the largest currents of both layers, sampled at regular steps."""
         h0, h1, _ = self.sizes
         u = np.abs(self.trace.u[::every]).max((0, 1))
         return u[:h0], u[h0 : h0 + h1]

@@ -1,4 +1,4 @@
-"""Initial weights: at random as the paper's, or of a controller solved from flights."""
+"""Initial weights: random as in the paper, or, for a controller, solved from flights."""
 
 from __future__ import annotations
 
@@ -21,16 +21,17 @@ CONTROLLER_TAUS = {
     "syn2": (0.5, 0.5),
     "mem2": (1.5, 1.5),
 }
-"""Ranges of a controller's first time constants, log-uniform [steps]; the slowest hold an integral."""
+"""Ranges of a controller's initial time constants, log-uniform [steps]; the slowest approximate an
+integral."""
 FAN_IN = 25
-"""Encoders that each hidden neuron of a controller reads at first."""
+"""Initial number of encoders that each hidden neuron of a controller reads."""
 
 
 def initialise_random(model: AttSNN, seed: int) -> None:
-    """The initial weights of the paper's published code, at random; constants stay as the model has them.
+    """Draw the initial weights of the paper's published code; the constants of the model are not changed.
 
-    Into the encoding and the output layer uniform within ± 1 / √inputs, the others normal with a variance of
-    2 / hidden, over 1 - τ_mem of the neurons that they lead to.
+    Weights into the encoding and the output layer are uniform within ± 1 / √inputs. The others are normal
+    with a variance of 2 / hidden. All are divided by 1 - τ_mem of the target neurons.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     values = {}
@@ -47,18 +48,18 @@ def initialise_random(model: AttSNN, seed: int) -> None:
 def initialise_controller(
     model: AttSNN, x: NDArray[np.float64], target: NDArray[np.floating], seed: int
 ) -> None:
-    """Solve, not train, a controller: a regression on random features of the input.
+    """Initialise a controller by regression on random features of the input.
 
-    Encoders have random directions in the inputs and log-uniform gains over a decade; hidden neurons read a
-    few encoders each over time constants from a step to half a second. Each layer is scaled so that its
-    currents reach the threshold on the data, and the output weights are solved by ridge regression (the
-    Neural Engineering Framework, Eliasmith & Anderson 2003).
+    Encoders have random directions in the inputs and log-uniform gains over a decade. Each hidden neuron
+    reads a few encoders, with time constants from a step to half a second. Each layer is scaled so that its
+    currents reach the threshold on the data. The output weights are solved by ridge regression (Neural
+    Engineering Framework, Eliasmith & Anderson 2003).
 
     Args:
-        model: To fill.
+        model: Model to initialise.
         x: Scaled inputs, shape (n, T, inputs).
-        target: Of the outputs, shape (n, T, outputs).
-        seed: Of what is random.
+        target: Targets of the outputs, shape (n, T, outputs).
+        seed: Seed of all random numbers.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     for name, limits in CONTROLLER_TAUS.items():

@@ -1,4 +1,4 @@
-"""Att-SNN and Att-RNN as trainable modules."""
+"""The spiking network and the GRU network as trainable modules."""
 
 from __future__ import annotations
 
@@ -24,44 +24,44 @@ from .config import TrainConfig
 from .fused import Fused
 
 WEIGHT_MAX = 127 / 128
-"""Largest weight of either sign on the chip."""
+"""Largest magnitude of a weight on the chip."""
 CURRENT_MAX, CURRENT_EVERY = 384.0, 8
-"""Largest current, three quarters of the chip's 24 bits; every eighth step is checked."""
+"""Largest current, three quarters of the chip's range; interval of the checks in steps."""
 MEMBRANES = {each.layer: name for name, each in PARAMETERS.items() if each.role == "dv"}
-"""Membrane time constants of the neurons that a matrix leads to."""
+"""Name of the membrane time constants of the target neurons, by weight matrix."""
 CONTROL_SCALE = 32.0
 """Angular acceleration for an output potential of 1.0 of a new controller [rad/s²]."""
 
 
 def weight_exponents(w: Tensor, finest: int) -> Tensor:
-    """Exponent of each row, (rows, 1): the finest of `finest`...0 in whose range the largest weight is."""
+    """Return the smallest exponent ≥ `finest` of each row, (rows, 1), whose range includes all weights."""
     largest = w.detach().abs().amax(1, keepdim=True)
     return torch.log2(largest / WEIGHT_MAX).ceil().clamp(finest, 0)
 
 
 def quantise_weights(w: Tensor, finest: int = 0) -> Tensor:
-    """Nearest weight of the chip: even mantissas -256...254 of 2^(e - 8). Gradient straight through.
+    """Round to weights of the chip, even mantissas -256...254 of 2^(e - 8), with a straight-through gradient.
 
     Args:
         w: Weights, shape (rows, columns).
-        finest: Least exponent e of a row, see `weight_exponents`.
+        finest: Smallest exponent e of a row; see `weight_exponents`.
     """
     step = torch.exp2(weight_exponents(w, finest)) / 128
     return _straight(w, torch.clamp(torch.round(w / step), -128, 127) * step)
 
 
 def quantise(value: Tensor, kind: Kind) -> Tensor:
-    """Nearest value of a neuron's constant that the chip can hold. Gradient straight through."""
+    """Round a neuron's constant to the nearest value on the chip, with a straight-through gradient."""
     return _straight(value, kind.real(torch.clamp(torch.round(kind.whole(value)), kind.low, kind.high)))
 
 
 def _straight(value: Tensor, rounded: Tensor) -> Tensor:
-    """`rounded` forward, the gradient of `value` backward."""
+    """Return `rounded` in the forward pass, with the gradient of `value` in the backward pass."""
     return value + (rounded - value).detach()
 
 
 def network_of(config: TrainConfig) -> NetworkConfig:
-    """How the network of a run is run."""
+    """Return the configuration of the network of a run."""
     return NetworkConfig(
         model=config.model,
         encoding=config.encoding,
@@ -76,14 +76,13 @@ def network_of(config: TrainConfig) -> NetworkConfig:
 
 
 class AttSNN(nn.Module):
-    """The spiking network: all connections, weights of 0, which `training.init` sets, and first constants.
+    """The spiking network, with initial constants and weights of 0; `training.init` sets the weights.
 
-    Its time constants are trained as logits of τ and its weights in units of their row's, or both as in the
-    paper's published code: see `training.config.Optimisation.logits`. Kernels for a quantised network take
-    weights on the chip's grid.
+    `training.config.Optimisation.logits` selects the trained parameters. The kernels for a quantised network
+    use weights on the chip's grid.
 
     Args:
-        config: Of the run.
+        config: Configuration of the run.
     """
 
     w_in: Tensor
@@ -103,7 +102,7 @@ class AttSNN(nn.Module):
             self.set_constants(name, np.full(getattr(self, name).shape, PARAMETERS[name].first))
 
     def set_weights(self, name: str, values: NDArray[np.floating]) -> None:
-        """Set a weight matrix, and its rows' scales to their root mean square."""
+        """Set a weight matrix, and the scales of its rows to their RMS values."""
         w = torch.tensor(values, dtype=torch.float32)
         if self.logits:
             used = (w != 0).sum(1, keepdim=True).clamp(min=1)
@@ -113,19 +112,19 @@ class AttSNN(nn.Module):
             getattr(self, name).copy_(w / self._units(name))
 
     def _units(self, name: str) -> Tensor:
-        """Weights for a parameter of 1, a row for each neuron that they lead to."""
+        """Return the weights for a parameter of 1, with a row per target neuron."""
         scale, membranes = getattr(self, f"{name}_scale"), MEMBRANES[PARAMETERS[name].layer]
         return scale if self.logits else scale * (1.0 - self.constants(membranes)).reshape(-1, 1)
 
     def set_constants(self, name: str, values: NDArray[np.floating]) -> None:
-        """Set constants of neurons, before the weights that they scale."""
+        """Set constants of neurons; this must precede the weights that they scale."""
         value, kind = torch.tensor(values), PARAMETERS[name].kind
         raw = torch.log(value / (1 - value)) if self._is_logit(name) else kind.whole(value) * kind.step
         with torch.no_grad():
             getattr(self, name).copy_(raw)
 
     def constants(self, name: str) -> Tensor:
-        """Constants of neurons, such as time constants τ."""
+        """Return constants of neurons, such as time constants τ."""
         raw, kind = getattr(self, name), PARAMETERS[name].kind
         return torch.sigmoid(raw) if self._is_logit(name) else kind.real(raw / kind.step)
 
@@ -133,7 +132,7 @@ class AttSNN(nn.Module):
         return self.logits and PARAMETERS[name].kind is DECAY
 
     def weights(self) -> Weights:
-        """Weights and time constants as the network uses them."""
+        """Return weights and time constants as used by the network."""
         w = {name: getattr(self, name) * self._units(name) for name in MATRICES}
         constants = {name: self.constants(name) for name in NEURON_CONSTANTS}
         if self.kernels.quantised:
@@ -143,17 +142,17 @@ class AttSNN(nn.Module):
         return Weights(**w, **constants)
 
     def forward(self, x: Tensor, reset: NDArray[np.bool_] | None = None) -> tuple[Tensor, Tensor]:
-        """Outputs (n, T, outputs) of a window of scaled inputs (n, T, inputs), and spike rates (2,).
+        """Return outputs (n, T, outputs) for a window of scaled inputs (n, T, inputs), and spike rates (2,).
 
-        Sequences of the mask `reset` (n,) start from a state of zero, the others continue from the last
-        window of this shape; None: all are reset.
+        Sequences in the mask `reset` (n,) start from a state of zero; None resets all. The others continue
+        from the last window of the same shape.
         """
         out, rates = self.kernels.forward(x, self.weights(), reset)
         return out * self.output_scale, rates
 
     @torch.no_grad()
     def constrain(self) -> None:
-        """Clip all to their range."""
+        """Clip all parameters to their ranges."""
         for name in NEURON_CONSTANTS:
             kind = PARAMETERS[name].kind
             limits = (kind.low * kind.step, kind.high * kind.step)
@@ -164,10 +163,10 @@ class AttSNN(nn.Module):
 
     @torch.no_grad()
     def limit_currents(self) -> None:
-        """Weaken the inputs of neurons whose currents neared the ends of the chip's range in the last window.
+        """Reduce the weights of neurons whose currents came close to the chip's limits in the last window.
 
-        Beyond them a current wraps round to the other sign: a neuron that training silences further would
-        then spike in every other step, and no gradient leads back.
+        Beyond the limits, a current wraps to the other sign. A neuron whose input decreases further would
+        then spike in every other step, without a gradient that corrects this.
         """
         if not self.kernels.quantised:
             return
@@ -179,7 +178,7 @@ class AttSNN(nn.Module):
 
     @torch.no_grad()
     def tensors(self) -> Tensors:
-        """Its tensors for `save_network`."""
+        """Return the tensors for `save_network`."""
         arrays = {name: w.numpy() for name, w in self.weights()._asdict().items()}
         if not self.network.quantised:
             return {name: w.astype(np.float32) for name, w in arrays.items()}
@@ -191,7 +190,7 @@ class AttSNN(nn.Module):
 
 
 class AttRNN(nn.Module):
-    """The non-spiking twin: two GRU layers and a linear output, with PyTorch's own initial weights."""
+    """The GRU network: two GRU layers and a linear output, with PyTorch's initial weights."""
 
     def __init__(self, config: TrainConfig) -> None:
         super().__init__()
@@ -201,10 +200,10 @@ class AttRNN(nn.Module):
         self._state: Tensor | None = None
 
     def forward(self, x: Tensor, reset: NDArray[np.bool_] | None = None) -> tuple[Tensor, Tensor]:
-        """Outputs (n, T, outputs) of a window of scaled inputs (n, T, 6), and no spikes (2,).
+        """Return outputs (n, T, outputs) for scaled inputs (n, T, 6), and spike rates of zero (2,).
 
-        Sequences of the mask `reset` (n,) start from a state of zero, the others continue from the last
-        window; None: all are reset.
+        Sequences in the mask `reset` (n,) start from a state of zero; None resets all. The others continue
+        from the last window.
         """
         before = self._state
         if reset is None or reset.all():
@@ -216,8 +215,8 @@ class AttRNN(nn.Module):
         return self.out(y), torch.zeros(2)
 
     def constrain(self) -> None:
-        """Do nothing: any weight is allowed."""
+        """Do nothing, because any weight is allowed."""
 
     def tensors(self) -> Tensors:
-        """Its tensors for `save_network`."""
+        """Return the tensors for `save_network`."""
         return {name: value.numpy().copy() for name, value in self.state_dict().items()}

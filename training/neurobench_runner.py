@@ -1,10 +1,10 @@
-"""What NeuroBench's own runner needs for attitude: a model of any estimator, and an error.
+"""Adapters for NeuroBench's runner: a model of any estimator, and an error metric.
 
     loader = DataLoader(Windows("data/test.zarr", steps=2000), batch_size=16)
     Benchmark(EstimatorModel(create("att-snn")), loader, [], [], [[Footprint], [InclinationRmse]]).run()
 
-A network of yours in PyTorch goes into NeuroBench's `TorchModel` in place of `EstimatorModel`, and NeuroBench
-counts its operations. NeuroBench: Yik et al., Nature Communications 16:1545, 2025.
+For your own PyTorch network, use NeuroBench's `TorchModel` instead of `EstimatorModel`; NeuroBench then
+counts its operations. NeuroBench is described by Yik et al., Nature Communications 16:1545, 2025.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ from quadsim.estimator import AttitudeEstimator
 
 
 class EstimatorModel(NeuroBenchModel):
-    """An estimator, from an unknown start in every window; a filter has no layers to count."""
+    """An estimator, which starts from an unknown attitude in every window."""
 
     def __init__(self, estimator: AttitudeEstimator) -> None:
         super().__init__()
         self.estimator = estimator
 
     def __call__(self, batch: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Roll and pitch (n, steps, 2) [rad] of readings (n, steps, 6)."""
+        """Return roll and pitch (n, steps, 2) [rad] for readings (n, steps, 6)."""
         readings = batch.numpy().astype(float)
         return torch.from_numpy(run(self.estimator, readings[..., :3], readings[..., 3:])).float()
 
     def __net__(self) -> nn.Module:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """The estimator where it is a PyTorch module, else one without parameters."""
+        """Return the estimator if it is a PyTorch module; otherwise a module without parameters."""
         return self.estimator if isinstance(self.estimator, nn.Module) else nn.Module()
 
 
 class InclinationRmse(WorkloadMetric):
-    """RMS of the inclination error of each window, mean over windows [deg]."""
+    """RMS inclination error of each window, averaged over windows [deg]."""
 
     def __call__(self, model: Any, preds: Tensor, data: tuple[Tensor, Tensor]) -> float:
-        """See `estimators.metrics.inclination_rmse`."""
+        """Compute the error; see `estimators.metrics.inclination_rmse`."""
         return inclination_rmse(preds.numpy(), data[1].numpy()).mean

@@ -1,4 +1,4 @@
-"""What training minimises and when it stops; Adam in Lookahead (Zhang, Lucas, Hinton & Ba 2019)."""
+"""Loss, stopping rules and optimiser: Adam in Lookahead (Zhang, Lucas, Hinton & Ba 2019)."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from estimators.networks.layer_parameters import MATRICES, NEURON_CONSTANTS, PAR
 from .config import TrainConfig, TrainingRecipe
 
 LOOKAHEAD_K, LOOKAHEAD_ALPHA = 6, 0.5
-"""Steps of the fast weights for one of the slow, and its size as a share of the distance, as in the paper."""
+"""Number k of fast steps per slow step, and size α of the slow step, as in the paper."""
 
 
 class Lookahead:
-    """Every k steps of the fast weights slow += α (fast - slow), and then fast = slow.
+    """Lookahead optimiser: after every k steps of the fast weights, slow += α (fast - slow) and fast = slow.
 
     Args:
-        optimizer: Moves the fast weights, which are the parameters themselves.
+        optimizer: Optimiser of the fast weights, which are the parameters of the model.
     """
 
     def __init__(self, optimizer: Optimizer) -> None:
@@ -35,7 +35,7 @@ class Lookahead:
 
     @property
     def param_groups(self) -> list[dict[str, Any]]:
-        """Those of the fast optimiser, where learning rates are set."""
+        """Parameter groups of the fast optimiser, which contain the learning rates."""
         return self.optimizer.param_groups
 
     def _fast(self) -> list[torch.Tensor]:
@@ -47,7 +47,7 @@ class Lookahead:
 
     @torch.no_grad()
     def step(self) -> None:
-        """One step of the fast weights and, every k, one of the slow."""
+        """Run one step of the fast weights and, after every k steps, one of the slow weights."""
         self.optimizer.step()
         self.steps += 1
         if self.steps % LOOKAHEAD_K == 0:
@@ -57,7 +57,7 @@ class Lookahead:
 
     @contextmanager
     def evaluated(self) -> Iterator[None]:
-        """Within this context the parameters are the slow weights, which are evaluated and saved."""
+        """Set the parameters to the slow weights within this context, for evaluation and saving."""
         fast = [p.detach().clone() for p in self._fast()]
         with torch.no_grad():
             for parameter, slow in zip(self._fast(), self.slow, strict=True):
@@ -70,7 +70,7 @@ class Lookahead:
                     parameter.copy_(value)
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything that a resumed run needs, the fast optimiser's state included."""
+        """Return everything that a resumed run needs, including the state of the fast optimiser."""
         slow = [p.clone() for p in self.slow]
         return {"optimizer": self.optimizer.state_dict(), "slow": slow, "steps": self.steps}
 
@@ -82,9 +82,10 @@ class Lookahead:
 
 
 def new_optimiser(model: nn.Module, config: TrainingRecipe) -> Lookahead:
-    """Adam in Lookahead; each parameter has a group with the factor `step` of its learning rate.
+    """Make Adam in Lookahead; each parameter has a group with the factor `step` of its learning rate.
 
-    The factors differ between layers since a common change of many weights adds up over the neurons.
+    The factors differ between layers, because the effect of a common change of many weights adds up over
+    neurons.
     """
     layers: dict[str, float] = dict(
         zip(("encoding", "hidden", "outputs"), config.method.layer_steps, strict=True)
@@ -98,7 +99,7 @@ def new_optimiser(model: nn.Module, config: TrainingRecipe) -> Lookahead:
 
 
 def learning_rate(config: TrainingRecipe, update: int) -> float:
-    """Learning rate of an update, counted from 0 over all epochs."""
+    """Return the learning rate of an update, counted from 0 over all epochs."""
     if not config.method.cosine:
         return config.optimiser_lr
     share = update / (config.epochs * config.batches)
@@ -106,23 +107,24 @@ def learning_rate(config: TrainingRecipe, update: int) -> float:
 
 
 def total_cost(estimate: Tensor, target: Tensor, rates: Tensor, config: TrainConfig) -> Tensor:
-    """What an update minimises: the sum of all losses, each times its weight in the configuration [rad²].
+    """Return the total loss, the weighted sum of all losses in the configuration [rad²].
 
     Args:
         estimate: Outputs, shape (n, T, 2) [rad], or scaled angular acceleration, shape (n, T, 3).
-        target: What they should be.
-        rates: Spikes per neuron and step of the encoding and of the hidden layer, shape (2,).
-        config: Of the run.
+        target: Targets of the outputs.
+        rates: Spikes per neuron and step of encoding and hidden layer, shape (2,).
+        config: Configuration of the run.
     """
     excess = (rates - torch.tensor(config.rate_targets)).clamp(min=0.0).sum()
     return error_loss(estimate, target, config.huber_threshold) + config.rate_cost * excess
 
 
 def error_loss(estimate: Tensor, target: Tensor, huber_threshold: float = 0.0) -> Tensor:
-    """Half the mean square norm of an error (n, T, outputs), of roll and pitch their mean square [rad²].
+    """Return half the mean squared norm of an error (n, T, outputs) [rad²].
 
-    Where the norm of the error exceeds `huber_threshold` [rad], the loss is linear in it (Huber, "Robust
-    estimation of a location parameter", Annals of Mathematical Statistics 35, 1964); 0: nowhere.
+    If the norm of the error exceeds `huber_threshold` [rad], the loss is linear in the norm (Huber, "Robust
+    estimation of a location parameter", Annals of Mathematical Statistics 35, 1964). A threshold of 0 means a
+    quadratic loss everywhere.
     """
     error = estimate - target
     if huber_threshold == 0.0:
@@ -132,7 +134,10 @@ def error_loss(estimate: Tensor, target: Tensor, huber_threshold: float = 0.0) -
 
 
 def finished(losses: Sequence[float]) -> str | None:
-    """The paper's reason to stop after these validation losses, one for each epoch; None: there is none."""
+    """Return the reason to stop by the paper's rules after these validation losses, one per epoch.
+
+    The result is None if training continues.
+    """
     if losses and len(losses) - 1 - int(np.argmin(losses)) >= 50:
         return "the lowest validation loss is 50 epochs old"
     if len(losses) > 20:

@@ -1,4 +1,4 @@
-"""The files of a run: configuration, digests of what it reads, log and loss curve."""
+"""The files of a run: configuration, digests of its inputs, log and loss curve."""
 
 from __future__ import annotations
 
@@ -20,32 +20,32 @@ from .config import CircuitRun, TrainConfig
 
 @dataclass(frozen=True)
 class Epoch:
-    """A row of the log."""
+    """An epoch, a row of the log."""
 
     epoch: int
     updates: int
     train_loss: float
-    """Mean square error over the windows of the epoch [rad²; of a controller in units of its error scale]; of
-    a circuit its own loss."""
+    """Mean square error over the windows of the epoch [rad², or for a controller in units of its error
+    scale]; for a circuit, its loss."""
     learning_rate: float
     figures: dict[str, float]
-    """Of the updates: spikes per neuron and step, or the longest component of a vector."""
+    """Measures of the training: spikes per neuron and step, or the largest component of a vector."""
     validation: dict[str, float]
-    """Figures of merit on the validation flights; of a circuit after the last update only."""
+    """Measures on the validation flights; for a circuit, only after the last update."""
     seconds: float = 0.0
-    """Time of training so far."""
+    """Training time since the start of the run [s]."""
 
     @property
     def score(self) -> float:
-        """The first of the figures, which chooses the best epoch."""
+        """The first validation measure, which selects the best epoch."""
         return next(iter(self.validation.values()))
 
     def rank(self) -> float:
-        """The best epoch has the least."""
+        """Sort key; the best epoch has the smallest one."""
         return self.score if math.isfinite(self.score) else math.inf
 
     def __str__(self) -> str:
-        """The numbers, for people."""
+        """Return the measures as text."""
         validation = {f"validation {name}": value for name, value in self.validation.items()}
         shown = (
             f"{name.removesuffix('_deg')} {value:.2f}°" if name.endswith("_deg") else f"{name} {value:.4g}"
@@ -54,18 +54,18 @@ class Epoch:
         return ", ".join(shown).replace("_", " ")
 
     def row(self) -> dict[str, float]:
-        """The numbers by column of `log.csv`."""
+        """Return the measures by column of `log.csv`."""
         own = asdict(self)
         judged = {f"validation_{name}": value for name, value in own.pop("validation").items()}
         return own | own.pop("figures") | judged
 
 
 def claim(out: Path, config: TrainConfig | CircuitRun, flights: dict[str, str]) -> None:
-    """Make the folder this run's; `flights` are the digests of what it trains on.
+    """Claim a folder for this run; `flights` are the digests of its inputs.
 
     Raises:
-        ValueError: It holds a run with another configuration, of another version, or on files that have
-            changed.
+        ValueError: The folder contains a run with another configuration, of another version, or with other
+            inputs.
     """
     out.mkdir(parents=True, exist_ok=True)
     file = out / "config.json"
@@ -94,9 +94,9 @@ def claim(out: Path, config: TrainConfig | CircuitRun, flights: dict[str, str]) 
 
 @contextmanager
 def tensorboard_events(out: Path) -> Iterator[Callable[[Epoch], None]]:
-    """What writes an epoch's row of the log into a run's folder as events of TensorBoard.
+    """Make a function that writes epochs as TensorBoard events to the folder of a run.
 
-    A run that continues adds a file of events. Nothing is written before the first epoch.
+    A continued run adds a file of events. Nothing is written before the first epoch.
 
     Raises:
         ModuleNotFoundError: TensorBoard is not installed.
@@ -116,7 +116,7 @@ def tensorboard_events(out: Path) -> Iterator[Callable[[Epoch], None]]:
 
 
 def plot(out: Path, history: list[Epoch]) -> None:
-    """Training loss and the score over the epochs (the paper's Fig. 4)."""
+    """Draw training loss and score over the epochs, as in the paper's Fig. 4."""
     from matplotlib.figure import Figure
 
     panels = {"loss on training windows": [e.train_loss for e in history]}

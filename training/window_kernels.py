@@ -1,7 +1,7 @@
 """Att-SNN over a window, compiled: forward, and the backward pass with the surrogate gradient.
 
-The steps are those of `estimators.loihi.neurons`. Forward pass and weight gradients add rows of the
-neurons that spiked; the gradient of the spikes is one matrix product per step for the whole batch.
+The steps are those of `estimators.loihi.neurons`. Forward pass and weight gradients add only rows of neurons
+that spiked. The gradient of the spikes is one matrix product per step for the whole batch.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ Floats = NDArray[np.floating]
 
 
 class Trace(NamedTuple):
-    """What the forward pass leaves for the backward pass, time first, in units of 1.0.
+    """Trace of the forward pass for the backward pass, time first, in units of 1.0.
 
-    Neurons stand in a row: h0 encoding, h1 hidden, outputs. Rows 0 and 1 come before the window.
+    The neurons are in the order encoding (h0), hidden (h1), outputs. Rows 0 and 1 come before the window.
     """
 
     u: Floats  #: currents, row t + 1 is step t, shape (T + 1, n, neurons)
@@ -32,13 +32,13 @@ class Trace(NamedTuple):
 
     @classmethod
     def empty(cls, steps: int, n: int, sizes: tuple[int, int, int], dtype: np.dtype) -> Trace:
-        """Buffers for one window of a network with these layers."""
+        """Return buffers for one window of a network with these layers."""
         u, v = np.zeros((steps + 1, n, sum(sizes)), dtype), np.zeros((steps + 2, n, sum(sizes)), dtype)
         spikes = np.zeros((steps + 2, n, sizes[0] + sizes[1] + 2), np.uint16)
         return cls(u, v, spikes)
 
     def begin(self, reset: NDArray[np.bool_]) -> None:
-        """Start where the last window ended, the sequences in `reset` (n,) from rest."""
+        """Start from the end of the last window; sequences in `reset` (n,) start from rest."""
         for rows in (self.v, self.spikes):
             rows[:2] = rows[-2:]
             rows[:2, reset] = 0
@@ -55,10 +55,10 @@ def _copy(source, factor, target):
 
 @njit(cache=True, nogil=True)
 def forward_window(x, encoders, table, weights, sums, one, trace):
-    """Run the window x (T, n, inputs) of integers from the rows before it.
+    """Run the window x (T, n, inputs) of integers, starting from the rows before it.
 
-    The next three are a network's `PackedWeights`, `sums` is zeros as `step` takes them, and `one` the state
-    units of 1.0.
+    The next three arguments are the fields of `PackedWeights`; `sums` is temporary storage as in `step`, and
+    `one` is the number of state units of 1.0.
     """
     h0, targets, n, number, unit = encoders.shape[1], weights.shape[2], x.shape[1], table.dtype, 1.0 / one
     neurons, hidden = neurons_of(weights, h0, table), weights.shape[1] - h0
@@ -86,7 +86,7 @@ def forward_window(x, encoders, table, weights, sums, one, trace):
 
 
 class Gradients(NamedTuple):
-    """Sums over a window; the weights between neurons are by source."""
+    """Sums of gradients over a window; the weights between neurons are by source."""
 
     w_in: Floats  #: (inputs, h0)
     w: Floats  #: from both layers to the hidden layer and the outputs, (h0 + h1, h1 + outputs)
@@ -97,7 +97,7 @@ class Gradients(NamedTuple):
 
 
 def new_gradients(weights: Weights[Floats], n: int, later: bool) -> Gradients:
-    """Sums to add to, for n sequences."""
+    """Return zero sums for n sequences."""
     (h0, inputs), (outputs, h1) = weights.w_in.shape, weights.w_out.shape
     both = h0 + h1
     shapes = (inputs, h0), (both, h1 + outputs), (both * later, h1), (n, both), (n, both), (2,)
@@ -105,7 +105,7 @@ def new_gradients(weights: Weights[Floats], n: int, later: bool) -> Gradients:
 
 
 def of_weights(gradients: Gradients) -> Weights[Floats]:
-    """Gradients of the weights, for all sequences together."""
+    """Return the gradients of the weights, summed over sequences."""
     w_in, w, w_later, syn, mem, outputs = gradients
     h0, h1 = w_in.shape[1], w_later.shape[1]
     recurrent = w_later if len(w_later) else w
@@ -121,10 +121,10 @@ def backward_window(x, grad, of_spikes, weights, trace, gradients):
     Args:
         x: Input, shape (T, n, inputs).
         grad: Gradient of the outputs, shape (T, n, outputs).
-        of_spikes: Gradient of every spike of the encoding and of the hidden layer, (2,).
+        of_spikes: Gradient of each spike of the encoding and of the hidden layer, (2,).
         weights: `Weights` in units of 1.0.
-        trace: What the forward pass left.
-        gradients: Changed; as all of these in the floating type of the computation.
+        trace: Trace of the forward pass.
+        gradients: Sums of gradients, which are changed.
     """
     of_encoding, of_hidden_spike = of_spikes
     number = grad.dtype
@@ -178,7 +178,7 @@ def backward_window(x, grad, of_spikes, weights, trace, gradients):
 
 @njit(inline="always")
 def _add_to_rows(rows, values, spikes):
-    """Add `values` to the rows of the neurons that spiked."""
+    """Add `values` to the rows of neurons that spiked."""
     for k in range(2, 2 + spikes[0]):
         j = spikes[k]
         for i in range(values.shape[0]):
@@ -187,7 +187,7 @@ def _add_to_rows(rows, values, spikes):
 
 @njit(nogil=True, fastmath={"contract"})
 def _product(a, b, out):
-    """Write a b into `out`; four rows of a by four of b at a time, so that the sums stay in registers."""
+    """Write the product a b to `out`, in blocks of four rows of a and b, so that sums stay in registers."""
     out[:] = 0
     n, inner = a.shape
     for i in range(0, n - n % 4, 4):

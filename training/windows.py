@@ -1,4 +1,4 @@
-"""Windows of flights for other people's training loops: a `torch.utils.data.Dataset`."""
+"""Windows of flights as a `torch.utils.data.Dataset`, for your own training loop."""
 
 from __future__ import annotations
 
@@ -15,18 +15,19 @@ from quadsim.rotation import roll_pitch_from_quat
 
 
 class Windows(Dataset[tuple[Tensor, Tensor]]):
-    """Windows of a dataset's whole flights, in single precision.
+    """Windows of the complete flights of a dataset, in single precision.
 
-    An item is a pair: readings (steps, 6), gyro [rad/s] beside accel [m/s²], and true roll and pitch
+    An item is a pair: readings (steps, 6), which are gyro [rad/s] and accel [m/s²], and true roll and pitch
     (steps, 2) [rad]. Flights that ended early are left out.
 
     Args:
-        path: A dataset of `quadsim generate`.
-        steps: Samples of a window; the rest of each flight is left out.
-        held_out: Take the data of a benchmark task too: to test on, never to train on.
+        path: A dataset written by `quadsim generate`.
+        steps: Number of samples in a window. The rest of each flight is left out.
+        held_out: Allow the data of a benchmark task, which must not be used for training.
 
     Raises:
-        ValueError: Not a dataset, data of a task without `held_out`, or no flight as long as a window.
+        ValueError: The path is not a dataset, the data belong to a task and `held_out` is not set, or no
+            flight is as long as a window.
     """
 
     def __init__(self, path: str | Path, steps: int, held_out: bool = False) -> None:
@@ -50,5 +51,5 @@ class Windows(Dataset[tuple[Tensor, Tensor]]):
         return len(self.readings)
 
     def __getitem__(self, index: int) -> tuple[Tensor, Tensor]:
-        """Readings (steps, 6) and true roll and pitch (steps, 2)."""
+        """Return readings (steps, 6) and true roll and pitch (steps, 2)."""
         return self.readings[index], self.truth[index]

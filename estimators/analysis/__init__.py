@@ -1,1 +1,1 @@
-"""Analysis of networks: weights and flights go in; activity, ablations and costs come out."""
+"""Analysis of networks on recorded flights: activity, ablation and costs."""

@@ -1,4 +1,4 @@
-"""Networks without some of their neurons, and what it costs."""
+"""Ablation: networks without some of their neurons, and their errors."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 def without(
     config: NetworkConfig, tensors: Tensors, keep: Sequence[NDArray[np.int64]]
 ) -> tuple[NetworkConfig, Tensors]:
-    """The network of the connected neurons, indices of the encoding and of the hidden layer."""
+    """Return the network of the connected neurons, given by their indices in encoding and hidden layer."""
     left = {name: np.sort(ids) for name, ids in zip(("encoding", "hidden"), keep, strict=True)}
     smaller = dict(tensors)
     for name in tensors:
@@ -32,10 +32,10 @@ def without(
 def pruned(
     config: NetworkConfig, tensors: Tensors, values: Sequence[Array], fraction: float
 ) -> tuple[NetworkConfig, Tensors]:
-    """The network without the fraction of all neurons that has the least values; one of each layer stays.
+    """Remove the fraction of all neurons with the smallest values; at least one neuron of each layer remains.
 
     Raises:
-        ValueError: A fraction outside [0, 1).
+        ValueError: The fraction is outside [0, 1).
     """
     if not 0.0 <= fraction < 1.0:
         raise ValueError(f"fraction: {fraction}, should be in [0, 1)")
@@ -46,7 +46,7 @@ def pruned(
 
 
 def error_deg(config: NetworkConfig, tensors: Tensors, flights: Flights) -> float:
-    """Mean absolute error of roll and pitch from an unknown start [deg]."""
+    """Return the mean absolute error of roll and pitch from an unknown start [deg]."""
     est = NetworkEstimator(Spiking(config, tensors), config.rate_hz)
     est.reset(len(flights.gyro))
     return attitude_error(est.sequence(flights.gyro, flights.accel), flights.truth).mean

@@ -1,4 +1,4 @@
-"""What every neuron of a network on the chip does over recorded flights."""
+"""Activity of every neuron of a network on the chip during recorded flights."""
 
 from __future__ import annotations
 
@@ -15,39 +15,39 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Activity:
-    """Spikes and states of a network over n flights of T samples, a step each.
+    """Spikes and states of a network over n flights of T samples, with one step per sample.
 
-    Neurons stand in a row, encoding, hidden, outputs.
+    The neurons are in the order encoding, hidden, outputs.
     """
 
     sizes: tuple[int, ...]
-    """Neurons of the layers, of Att-SNN three."""
+    """Number of neurons in each layer."""
     spikes: NDArray[np.int8]
-    """0 or 1, (n, steps, neurons); those of inputs that spike stand before them."""
+    """Spikes, 0 or 1, (n, steps, neurons); spiking inputs come before the neurons."""
     active: NDArray[np.int64]
-    """Steps in which a neuron had anything to update: a current, a potential or a bias, (n, neurons)."""
+    """Number of steps in which a neuron had a current, a potential or a bias to update, (n, neurons)."""
     estimate: Array
-    """Roll and pitch after each sample, (n, T, 2) [rad]; of an imported network the output potentials
+    """Outputs after each sample: roll and pitch (n, T, 2) [rad]; for an imported network, output potentials
     (n, T, outputs)."""
 
     @property
     def rates(self) -> Array:
-        """Spikes of each neuron per step, (neurons,)."""
+        """Spikes per step of each neuron, (neurons,)."""
         return self.spikes.mean(axis=(0, 1))
 
     @property
     def steps(self) -> int:
-        """Steps in all flights together."""
+        """Total number of steps in all flights."""
         return self.spikes.shape[0] * self.spikes.shape[1]
 
     def of_layer(self, values: NDArray, layer: int) -> NDArray:
-        """The part of an array (..., neurons) that belongs to a layer."""
+        """Return the part of an array (..., neurons) that belongs to a layer."""
         edges = np.cumsum((0, *self.sizes))
         return values[..., edges[layer] : edges[layer + 1]]
 
 
 def record(core: Spiking, gyro: Array, accel: Array) -> Activity:
-    """Run a spiking network from rest and record what its neurons do.
+    """Run a spiking network from rest and record the activity of its neurons.
 
     Args:
         core: The network.

@@ -1,4 +1,4 @@
-"""What a circuit makes of flights: its error, its spikes, and a modelled energy."""
+"""Error, spikes and modelled energy of a circuit on recorded flights."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from .energy import costs
 
 @dataclass(frozen=True)
 class Measured:
-    """A circuit over recorded flights."""
+    """Measurements of a circuit on recorded flights."""
 
     error_deg: float
-    """Mean absolute error of roll and pitch, unknown initial attitude."""
+    """Mean absolute error of roll and pitch from an unknown initial attitude [deg]."""
     spikes: dict[str, float]
-    """Spikes by kind [1/s]."""
+    """Spike rate of each kind of neuron [1/s]."""
     synaptic_events: float
-    """A step."""
+    """Synaptic events per step."""
     nanojoules: float
-    """Modelled dynamic energy of a step (Davies et al. 2018, see `estimators.analysis.energy`)."""
+    """Modelled dynamic energy of a step [nJ] (Davies et al. 2018; see `estimators.analysis.energy`)."""
 
     def summary(self) -> list[tuple[str, str]]:
-        """What a terminal shows."""
+        """Return names and values for the terminal."""
         return [
             *((f"spikes of {kind}", f"{rate:,.0f} /s") for kind, rate in self.spikes.items()),
             ("all spikes", f"{sum(self.spikes.values()):,.0f} /s"),
@@ -45,12 +45,12 @@ class Measured:
 
 
 def measure(config: CircuitConfig, p: Parameters, data: Sequence[str | Path]) -> Measured:
-    """Run a circuit on spikes over the flights of datasets."""
+    """Run a spiking circuit on the flights of datasets."""
     return measured(config, p, load_flights([open_dataset(path) for path in data]))
 
 
 def measured(config: CircuitConfig, p: Parameters, flights: Flights) -> Measured:
-    """Run a circuit on spikes over flights."""
+    """Run a spiking circuit on flights."""
     estimator = circuit_estimator("att-snn", p, config.steps_per_sample, flights.rate_hz)
     estimator.reset(len(flights.gyro))
     error = absolute_error(estimator.sequence(flights.gyro, flights.accel), flights.truth)
@@ -74,7 +74,7 @@ def measured(config: CircuitConfig, p: Parameters, flights: Flights) -> Measured
 
 
 def synaptic_events(circuit: Circuit, spikes: dict[str, float]) -> float:
-    """Synapses that spikes pass, from spikes of each kind; those of the rings included."""
+    """Return the number of synaptic events for given spikes of each kind, including those of the rings."""
     vectors, gates, felt = len(circuit.start), len(circuit.gate), 18
     reached = {
         "angles": 4 * vectors + 2,

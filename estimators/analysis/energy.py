@@ -1,8 +1,8 @@
-"""What an update costs: operations counted on flights, and a modelled energy with named coefficients.
+"""Costs of an update: operations counted on flights, and energy modelled from them.
 
-The chip's energies are those of Davies et al. 2018, simulated before there was a chip: a lower bound, dynamic
-only, without leakage. The host, which scales the readings and drives the encoding layer, is counted
-separately. Neither is a measurement.
+The energies of the chip are those of Davies et al. 2018, which were simulated before the chip existed. They
+are a lower bound: dynamic energy only, without leakage. The host, which scales the readings and drives the
+encoding layer, is counted separately. Neither value is a measurement.
 """
 
 from __future__ import annotations
@@ -27,24 +27,24 @@ PICOJOULES = {
     "spike within a tile": 1.7,
     "hop between tiles": 3.5,
 }
-"""Energy of one operation [pJ]; a hop is 3.0 east-west and 4.0 north-south."""
+"""Energy of one operation [pJ]; a hop costs 3.0 pJ east-west and 4.0 pJ north-south."""
 HOST_PICOJOULES = {"multiplication": 3.1, "addition": 0.1}
-"""Energy of one operation on 32-bit integers in 45 nm [pJ] (Horowitz, ISSCC 2014). Fetching and decoding its
-instruction, some 70 pJ in the same process, is not in it."""
+"""Energy of one operation on 32-bit integers in 45 nm [pJ] (Horowitz, ISSCC 2014), without fetching and
+decoding the instruction, which takes about 70 pJ."""
 FLOAT_PICOJOULES = 2.3
-"""Energy of an operation on 32-bit floats in 45 nm [pJ] (Horowitz, ISSCC 2014): the mean of an addition, 0.9,
-and a multiplication, 3.7."""
+"""Energy of an operation on 32-bit floats in 45 nm [pJ] (Horowitz, ISSCC 2014): the mean of an addition (0.9
+pJ) and a multiplication (3.7 pJ)."""
 CORES_PER_TILE = 4
 PAPER_MEASURED = {"µJ": 13.2, "µs": 10.0}
-"""Energy and time of a step of the recurrent layer alone that the paper measured, on a board of 32 chips."""
+"""Energy and time of a step of the recurrent layer alone, as measured by the paper on a board of 32 chips."""
 
 
 def host_operations(config: NetworkConfig) -> dict[str, int]:
-    """Multiplications, each with an addition, of the host for one sample (`encode_sample` and `drive`).
+    """Count the host's multiplications, each with an addition, for one sample (`encode_sample` and `drive`).
 
-    Each of six readings takes a subtraction and a multiplication, as does a controller's set-point. The
-    current of each encoding neuron takes a product for each input, their sums, and a multiplication and an
-    addition for its decay. Comparisons and shifts are not counted.
+    Each of six readings and each set-point of a controller takes a subtraction and a multiplication. The
+    current of each encoding neuron takes a product and an addition for each input and for its decay.
+    Comparisons and shifts are not counted.
     """
     inputs = config.n_inputs
     return {"scaled readings": inputs, "currents of the encoding layer": (inputs + 1) * config.encoding}
@@ -56,24 +56,25 @@ class Cost:
 
     operation: str
     count: float
-    """Per step."""
+    """Number of operations per step."""
     picojoules: float
-    """Of one."""
+    """Energy of one operation [pJ]."""
     share: float
-    """Of the modelled energy: if the coefficient is wrong by x %, the sum is wrong by share times x %."""
+    """Share of the modelled energy. If the coefficient is wrong by x %, the total is wrong by share times x
+    %."""
 
     @property
     def nanojoules(self) -> float:
-        """Of all of them in a step."""
+        """Energy of these operations per step [nJ]."""
         return self.count * self.picojoules / 1e3
 
 
 def counts(cores: Sequence[ChipCore], activity: Activity) -> dict[str, float]:
-    """Operations per step on the chip, mean over the flights.
+    """Count operations per step on the chip, averaged over the flights.
 
-    A spike causes one synaptic event for each of its synapses (weights of zero are not stored), and one
-    message to each core that holds any of them. Messages travel between tiles of four cores in a row, those
-    of inputs from the first.
+    A spike causes one synaptic event for each of its synapses and one message to each core that holds such a
+    synapse. Weights of zero are not stored. Messages travel between tiles of four cores in a row; messages of
+    inputs start at the first tile.
     """
     spikes = activity.spikes.sum(axis=(0, 1)) / activity.steps
     updates = float(sum(placed.used()["compartments"] for placed in cores))
@@ -97,12 +98,12 @@ def counts(cores: Sequence[ChipCore], activity: Activity) -> dict[str, float]:
 
 
 def synapses(cores: Sequence[ChipCore], neurons: int) -> NDArray[np.int64]:
-    """Synapses of each neuron on each core, (neurons, cores); with more than there are, of inputs too."""
+    """Count the synapses of each neuron and spiking input on each core, (neurons, cores)."""
     return np.stack([core.synapses.sum(0)[-neurons:] for core in cores], axis=1)
 
 
 def costs(counted: dict[str, float]) -> list[Cost]:
-    """The energy model, line by line."""
+    """Return the lines of the energy model."""
     total = sum(counted[name] * each for name, each in PICOJOULES.items())
     return [
         Cost(name, counted[name], each, counted[name] * each / total) for name, each in PICOJOULES.items()
@@ -110,10 +111,10 @@ def costs(counted: dict[str, float]) -> list[Cost]:
 
 
 def summary(config: NetworkConfig, core: OnLoihi, flights: Flights) -> dict[str, str]:
-    """What a terminal shows of a network on the chip over flights: spikes, operations, energy, error.
+    """Summarise a network on the chip over flights for the terminal: spikes, operations, energy, error.
 
     Raises:
-        ValueError: The network is a controller, or the flights have another sample rate.
+        ValueError: The network is a controller, or its sample rate differs from that of the flights.
     """
     if config.controls:
         raise ValueError("the network is a controller, flights are for attitude estimators; leave out --data")
@@ -132,16 +133,16 @@ def summary(config: NetworkConfig, core: OnLoihi, flights: Flights) -> dict[str,
 
 
 def snn_flops(encoding: int, hidden: int, spikes: tuple[float, float], outputs: int = 2) -> dict[str, float]:
-    """Floating-point operations of one update of the spiking network.
+    """Count the floating-point operations of one update of the spiking network.
 
-    The encoder multiplies six inputs; a spike adds one row of weights; every neuron decays and adds twice and
-    compares once, an output neuron does not compare. "dense" is what it takes if no use is made of zeros.
+    The encoder multiplies six inputs. A spike adds one row of weights. Every neuron decays and adds twice and
+    compares once; an output neuron does not compare. "dense" is the count without skipping zeros.
 
     Args:
         encoding: Neurons of the encoding layer.
         hidden: Neurons of the hidden layer.
         spikes: Mean spikes per step of both layers.
-        outputs: Leaky integrators.
+        outputs: Number of leaky integrators.
     """
     encoder = 2 * 6 * encoding
     neurons = 5 * (encoding + hidden) + 4 * outputs
@@ -151,10 +152,11 @@ def snn_flops(encoding: int, hidden: int, spikes: tuple[float, float], outputs: 
 
 
 def gru_flops(encoding: int, hidden: int, outputs: int = 2) -> float:
-    """Floating-point operations of one update of two GRU layers and a linear output.
+    """Count the floating-point operations of one update of two GRU layers and a linear output.
 
-    A layer of h units on m inputs: 2 · 3h (m + h) for the products, 6h for the biases, 3h to join the parts
-    and gate one of them, 3h functions and 4h to mix; a function counts as one operation.
+    A layer of h units with m inputs takes 2 · 3h (m + h) operations for the products, 6h for the biases, 3h
+    to join the parts and gate one of them, 3h for functions and 4h to mix. A function counts as one
+    operation.
     """
     layers = ((6, encoding), (encoding, hidden))
     return float(sum(6 * h * (m + h) + 16 * h for m, h in layers) + (2 * hidden + 1) * outputs)

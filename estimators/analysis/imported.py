@@ -1,4 +1,4 @@
-"""A network of another tool on the emulated chip: agreement with floats, cores, energy, latency, C99."""
+"""Networks from other tools on the emulated chip: agreement with floats, cores, energy, latency, C99."""
 
 from __future__ import annotations
 
@@ -30,31 +30,31 @@ from .energy import costs, counts
 Array = NDArray[np.float64]
 DT = Between(1e-9, 10.0, "s")
 RANDOM_RATE = 0.1
-"""Random spikes per input and step."""
+"""Mean number of random spikes per input and step."""
 
 
 class ImportSettings(Strict):
     """How a network is imported, as set by `--set`."""
 
     dt: Annotated[float, DT] | None = None
-    """Step in the unit of the file's time constants [s]; None: that of its metadata."""
+    """Time step, in the unit of the time constants in the file [s]; None: the step in its metadata."""
     input: str | None = None
-    """Array (T, inputs) or (n, T, inputs), a .npy file; None: random spikes."""
+    """A .npy file with an array (T, inputs) or (n, T, inputs); None: random spikes."""
     steps: Annotated[int, Between(10, 20000)] = 1000
-    """Steps of random spikes."""
+    """Number of steps of random spikes."""
 
 
 def import_nir(
     source: str | Path, out: str | Path, settings: ImportSettings, seed: int = 0
 ) -> dict[str, Any]:
-    """Put the network of a NIR file on the emulated chip, run it, and write it into a folder.
+    """Convert the network of a NIR file for the emulated chip, run it, and write the results to a folder.
 
-    The folder gets the integers (`network.safetensors`: the arguments of each `LoihiLayer`, with the layer's
-    number before the name), C99 (`network.c`, `network.h`, `main.c`) and `report.json`.
+    The folder contains the integers (`network.safetensors`: the arguments of each `LoihiLayer`, prefixed by
+    the number of the layer), C99 (`network.c`, `network.h`, `main.c`) and `report.json`.
 
     Args:
         source: The file.
-        out: The folder; must not exist.
+        out: The folder. It must not exist.
         settings: Step and input.
         seed: Seed of random spikes.
 
@@ -62,8 +62,8 @@ def import_nir(
         The report.
 
     Raises:
-        FileNotFoundError: No such file or input.
-        ValueError: One line: a file, node or input that cannot be used, or a network that does not fit.
+        FileNotFoundError: The file or the input does not exist.
+        ValueError: The file, a node or the input is invalid, or the network does not fit the chip.
     """
     if Path(out).exists():
         raise ValueError(f"{out}: exists already, choose another name")
@@ -107,7 +107,7 @@ def import_nir(
 
 
 def _inputs(settings: ImportSettings, size: int, seed: int) -> Array:
-    """Inputs (n, T, size): the user's, or random spikes."""
+    """Return inputs (n, T, size): the user's, or random spikes."""
     if settings.input is None:
         spikes = np.random.default_rng(seed).random((1, settings.steps, size)) < RANDOM_RATE
         return spikes.astype(np.float64)
@@ -123,9 +123,10 @@ def _inputs(settings: ImportSettings, size: int, seed: int) -> Array:
 
 
 def on_chip(layers: Sequence[FloatLayer], x: Array, vth: int | None = None) -> tuple[ChipNetwork, Activity]:
-    """Round a network for inputs (n, T, inputs), zeros and ones as spikes, others encoded; its run in floats.
+    """Round a network for inputs (n, T, inputs), and run it in floats.
 
-    `vth` is the mantissa of the smallest threshold, where a file of quadsim gives one.
+    Inputs of zeros and ones are spikes; other inputs are encoded. `vth` is the mantissa of the smallest
+    threshold, if a file of quadsim gives one.
     """
     encoded = bool(np.any((x != 0) & (x != 1)))
     floats, peaks = run_floats(layers, x, encoded)
@@ -146,10 +147,11 @@ def run_floats(layers: Sequence[FloatLayer], x: Array, encoded: bool) -> tuple[A
     Args:
         layers: From the input to the output.
         x: Inputs (n, T, inputs).
-        encoded: Whether they drive the first layer within the step; else as spikes, a step later.
+        encoded: Whether inputs drive the first layer within the step; otherwise they are spikes, which arrive
+            a step later.
 
     Returns:
-        Spikes and output potentials, and the peaks of each layer.
+        Spikes, output potentials, and the peaks of each layer.
     """
     n, steps, _ = x.shape
     sizes = tuple(len(layer.w_in) for layer in layers)
@@ -176,10 +178,10 @@ def run_chip(network: ChipNetwork, x: Array) -> Activity:
 
     Args:
         network: The network.
-        x: Inputs (n, T, inputs): spikes, or what the host encodes.
+        x: Inputs (n, T, inputs): spikes, or values that the host encodes.
 
     Returns:
-        Spikes, of inputs that are spikes first; activity; output potentials [state units].
+        Spikes, with spiking inputs first; activity; output potentials [state units].
     """
     emulator = LoihiNetwork(network.layers)
     emulator.reset(len(x))
@@ -202,7 +204,10 @@ def run_chip(network: ChipNetwork, x: Array) -> Activity:
 
 
 def encoded_inputs(network: ChipNetwork, x: Array) -> NDArray[np.int32] | None:
-    """What the host adds to the potentials of the first layer, (n, T, out) [state units]; None: spikes."""
+    """Return the host's addition to the potentials of the first layer, (n, T, out) [state units].
+
+    The result is None for spikes.
+    """
     if network.encoders is None:
         return None
     n, steps, inputs = x.shape
@@ -220,7 +225,7 @@ def encoded_inputs(network: ChipNetwork, x: Array) -> NDArray[np.int32] | None:
 
 
 def _layer(layer: FloatLayer, ours: NDArray[np.int8], theirs: NDArray[np.int8]) -> dict[str, Any]:
-    """A layer of the report, from its spikes in floats and on the chip."""
+    """Return the part of the report on a layer, from its spikes in floats and on the chip."""
     return {
         "node": layer.name,
         "neurons": len(layer.w_in),
@@ -231,6 +236,9 @@ def _layer(layer: FloatLayer, ours: NDArray[np.int8], theirs: NDArray[np.int8]) 
 
 
 def agreement(ours: NDArray[np.int8], theirs: NDArray[np.int8]) -> float | None:
-    """Spikes that two runs have in common, over those that either has; None where neither spikes."""
+    """Return the number of common spikes divided by the number of spikes in either run.
+
+    The result is None without spikes.
+    """
     either = np.count_nonzero(ours | theirs)
     return float(np.count_nonzero(ours & theirs) / either) if either else None

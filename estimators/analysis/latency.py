@@ -1,7 +1,7 @@
-"""Latency of one update of one vehicle, for every estimator and the two networks of the paper.
+"""Latency of one update for one vehicle, for every estimator and the two networks of the paper.
 
-Every call is timed on its own. The estimators take turns of 100 calls, many times over, so that whatever else
-the machine does falls on all of them alike.
+Every call is timed separately. The estimators take turns of 100 calls, so that other load on the computer
+affects all of them equally.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from ..registry import create, names
 
 RATE_HZ = 200.0
 CALLS = 100
-"""In a turn."""
+"""Number of calls in a turn."""
 LAYERED = ("att-snn-paper", "att-rnn-paper")
-"""Networks of layers with the sizes of the paper's, timed beside the estimators."""
+"""Networks of layers with the paper's sizes, which are timed in addition to the estimators."""
 
 Update = Callable[[NDArray[np.float64], NDArray[np.float64]], object]
 
 
 def contenders() -> dict[str, Update]:
-    """`update` of every estimator but the truth, and of the networks of layers."""
+    """Return `update` of every estimator except the truth, and of the networks of layers."""
     return {
         name: create(name, RATE_HZ, vehicle="hummingbird").update
         for name in (*names(), *LAYERED)
@@ -33,7 +33,7 @@ def contenders() -> dict[str, Update]:
 
 
 def measure(updates: Mapping[str, Update], rounds: int) -> dict[str, NDArray[np.float64]]:
-    """Time of each call [µs], in turns."""
+    """Time each call, in turns [µs]."""
     rng = np.random.default_rng(0)
     gyro = rng.normal(0.0, 0.5, (CALLS, 1, 3))
     accel = rng.normal([0.0, 0.0, 9.81], 0.5, (CALLS, 1, 3))

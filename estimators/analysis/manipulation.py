@@ -1,4 +1,4 @@
-"""What a network makes of manipulated inputs, the study of the paper's Fig. 8."""
+"""Response of a network to manipulated inputs, as in the paper's Fig. 8."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from ..networks.network import NetworkEstimator
 
 Array = NDArray[np.float64]
 SLOW_HZ, FAST_HZ = 0.2, 1.0
-"""Attitude below the first is of the long time, above the second of the short."""
+"""Frequencies [Hz] below which attitude counts as slow, and above which it counts as fast."""
 
 
 def manipulations(flights: Flights) -> dict[str, tuple[Array, Array]]:
-    """Inputs (gyro, accel), each (n, T, 3), as they are and with one sensor changed.
+    """Return inputs (gyro, accel), (n, T, 3) each, unchanged and with one sensor changed.
 
-    The paper's three: a gyroscope that reads zero; an accelerometer that reads zero; and one that always
-    reads a level hover, so that the attitude θ_acc that follows from it is zero ("accel removed"). A force of
-    exactly zero is a missing sample to the encoder: the input of a network then stays 0 from the start, which
-    is a level hover where the scaling has that offset.
+    The paper makes three changes: the gyroscope reads zero; the accelerometer reads zero; or the
+    accelerometer always reads level hover, so that the attitude θ_acc derived from it is zero ("accel
+    removed"). The encoder treats a force of exactly zero as a missing sample, so the input of the network
+    stays 0, which is level hover if the scaling has that offset.
     """
     up = np.broadcast_to([0.0, 0.0, GRAVITY], flights.accel.shape)
     return {
@@ -37,20 +37,21 @@ def manipulations(flights: Flights) -> dict[str, tuple[Array, Array]]:
 
 @dataclass(frozen=True)
 class StimulusResponse:
-    """What a network estimates from manipulated inputs."""
+    """Response of a network to manipulated inputs."""
 
     error_deg: float
-    """Mean absolute error of roll and pitch."""
+    """Mean absolute error of roll and pitch [deg]."""
     slow_gain: float
-    """Slope of the estimate over the truth, of the parts of both below `SLOW_HZ`: 1 follows, 0 does not."""
+    """Slope of the estimate over the truth, for frequencies below `SLOW_HZ`; 1 is perfect tracking, 0 is
+    none."""
     fast_gain: float
-    """The same above `FAST_HZ`."""
+    """Slope of the estimate over the truth, for frequencies above `FAST_HZ`."""
     estimate: Array
     """Roll and pitch of the first flight, (T, 2) [rad]."""
 
 
 def responses(est: NetworkEstimator, flights: Flights) -> dict[str, StimulusResponse]:
-    """Error and gain of a network under each manipulation, from an unknown start."""
+    """Return error and gains of a network for each manipulation, from an unknown start."""
     found = {}
     for name, (gyro, accel) in manipulations(flights).items():
         est.reset(len(gyro))
@@ -65,7 +66,7 @@ def responses(est: NetworkEstimator, flights: Flights) -> dict[str, StimulusResp
 
 
 def _gain(estimate: Array, truth: Array, rate_hz: float, low: float, high: float) -> float:
-    """Slope of the estimate over the truth (n, T, 2), of frequencies from `low` to below `high` [Hz]."""
+    """Return the slope of the estimate over the truth (n, T, 2), for frequencies `low` to `high` [Hz]."""
     hz = np.fft.rfftfreq(truth.shape[1], 1 / rate_hz)
     inside = (hz >= low) & (hz < high)
     ours, theirs = (np.fft.rfft(each, axis=1)[:, inside] for each in (estimate, truth))

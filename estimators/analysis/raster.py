@@ -1,4 +1,4 @@
-"""Which neurons of a spiking network spike when, on one recording."""
+"""Spike rasters of spiking networks on one recording."""
 
 import numpy as np
 
@@ -12,16 +12,16 @@ from .activity import record
 
 
 def spikes_of(est: AttitudeEstimator | None, gyro: Array, accel: Array) -> dict[str, Spikes]:
-    """Run the network of an estimator over a recording again; a network begins alike at every start.
+    """Run the network of an estimator on a recording and return its spikes.
 
     Args:
-        est: The estimator; it is left as it is.
+        est: The estimator, which is not changed.
         gyro: Body rate (T, 3) [rad/s]; NaN where missing.
         accel: Specific force (T, 3) [m/s²]; NaN where missing.
 
     Returns:
-        Spikes by population, from the first sample at 0 s. A neuron of the circuit that spikes with a sign is
-        two, 2 k and, of negative spikes, 2 k + 1. Nothing for an estimator that does not spike.
+        Spikes by population; the first sample is at 0 s. Neuron k of the circuit has the index 2 k for
+        positive spikes and 2 k + 1 for negative spikes. The result is empty for an estimator without spikes.
     """
     if not isinstance(est, NetworkEstimator):
         return {}
@@ -51,6 +51,6 @@ def _of_circuit(core: SpikingCircuit, gyro: Array, accel: Array, rate_hz: float)
 
 
 def _listed(rasters: dict[str, np.ndarray], rate_hz: float) -> dict[str, Spikes]:
-    """Rasters (steps, neurons) as lists of their spikes; a population without one is left out."""
+    """Convert rasters (steps, neurons) to lists of spikes; populations without spikes are omitted."""
     found = {name: np.nonzero(raster) for name, raster in rasters.items()}
     return {name: Spikes(step / rate_hz, neuron) for name, (step, neuron) in found.items() if step.size}

@@ -1,1 +1,1 @@
-"""The spiking circuit that follows turns: Att-SNN on the chip's integers, and Att-RNN, the same in floats."""
+"""The circuit that tracks rotations: Att-SNN with spikes, in the chip's integers, and Att-RNN in floats."""

@@ -1,4 +1,4 @@
-"""The circuit as an estimator: att-snn on spikes, att-snn-loihi if it fits the chip, att-rnn in floats."""
+"""The circuit as an estimator: att-snn and att-snn-loihi with spikes, att-rnn in floats."""
 
 from __future__ import annotations
 
@@ -13,21 +13,22 @@ from .parameters import GRAVITY, OUTPUT, RATE_HZ, Parameters, quantised
 from .spikes import SpikingCircuit
 
 GYRO_RANGE = INPUT_ONE * 2.0**-17 * RATE_HZ
-"""Body rate of an input of 1.0 [rad/s]: an integer input is a multiple of 2^-17 rad per sample."""
+"""Body rate that gives an input of 1.0 [rad/s]; an integer input is a multiple of 2^-17 rad per sample."""
 SCALING = Scaling(np.zeros(6), INPUT_ONE / np.array([GYRO_RANGE] * 3 + [GRAVITY] * 3))
 
 
 def circuit_estimator(name: str, p: Parameters, steps: int = 4, rate_hz: float = RATE_HZ) -> NetworkEstimator:
-    """An estimator that runs a circuit.
+    """Make an estimator that runs a circuit.
 
     Args:
         name: "att-snn", "att-snn-loihi" or "att-rnn".
-        p: Its parameters.
-        steps: Steps of the chip a sample, 1, 2 or 4.
+        p: Parameters of the circuit.
+        steps: Steps of the chip per sample, 1, 2 or 4.
         rate_hz: Samples per second.
 
     Raises:
-        ValueError: Another sample rate, or a circuit that does not fit the chip ("att-snn-loihi").
+        ValueError: The sample rate is not that of the circuit, or the circuit does not fit the chip
+            ("att-snn-loihi").
     """
     if not np.isclose(rate_hz, RATE_HZ):
         raise ValueError(f"{name}: the circuit is for {RATE_HZ:g} Hz, not for {rate_hz:g} Hz")
@@ -40,13 +41,13 @@ def circuit_estimator(name: str, p: Parameters, steps: int = 4, rate_hz: float =
 
 
 class Silent:
-    """Any network with a silent output: the estimate is always level. A `NetworkCore`."""
+    """A `NetworkCore` with a silenced output: the estimate is always level."""
 
     outputs, state, arrays = 3, ENCODER, ()
 
     @staticmethod
     def kernel(gyro: Array, accel: Array, set_points: Array, states: Array, out: Array) -> None:
-        """Count missing samples; see `NetworkCore`."""
+        """Count missing samples, with the signature of `NetworkCore.kernel`."""
         out[:] = 0
         readings = (each.reshape(len(each), -1, 3) for each in (gyro, accel))
         encode(*readings, SCALING, states, np.empty((len(gyro), gyro.shape[1] // 3, READINGS)))

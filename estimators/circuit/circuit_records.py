@@ -1,7 +1,7 @@
-"""Records and units of the circuit on spikes: its parameters, its state and the spikes of one step.
+"""Records and units of the spiking circuit: parameters, state and spikes of one step.
 
-1.0 is 2^20 units of a membrane. Compiled code gets a circuit and the state of a copy as one row of numbers
-each, of which `circuit_of` and `state_of` make records.
+A value of 1.0 is 2^20 units of a membrane. Compiled code receives a circuit and the state of a copy as one
+row of numbers each, which `circuit_of` and `state_of` convert to records.
 """
 
 from __future__ import annotations
@@ -19,41 +19,44 @@ Int32s = NDArray[np.int32]
 
 ONE_BITS = 20
 ONE = 1 << ONE_BITS
-"""Membrane units of 1.0."""
+"""Membrane units of the value 1.0."""
 INNOVATION_BITS = 22
 INNOVATION = 1 << INNOVATION_BITS
-"""Membrane units of an innovation of 1.0; a membrane ends at twice that."""
+"""Membrane units of an innovation of 1.0; the range of a membrane is twice that."""
 BIAS_BITS = 22
-"""Of the membrane units of a bias that spikes in every step; a membrane ends at twice that."""
+"""Base-2 logarithm of the membrane units of a bias that spikes in every step; the range of a membrane is
+twice that."""
 FELT_BITS = 18
 FELT = 1 << FELT_BITS
-"""Units of 1.0 of what is felt: 32 g or 128 rad/s are within 24 bits."""
+"""Units of the value 1.0 of a gate's inputs, so that 32 g and 128 rad/s fit in 24 bits."""
 ANGLE_DIGITS, FORCE_DIGITS = 5, 4
-"""Balanced ternary digits of the encoders' spikes: quanta of 1, 3, 9, 27 and 81."""
+"""Balanced ternary digits of the encoders' spikes, with 1, 3, 9, 27 and 81 quanta."""
 ANGLE_MAX, FORCE_MAX = (3**ANGLE_DIGITS - 1) // 2, (3**FORCE_DIGITS - 1) // 2
-"""Most quanta in a step: 23.6 rad/s and 98 m/s². What is more comes later."""
+"""Largest number of quanta in a step, for 23.6 rad/s and 98 m/s²; the rest is sent in later steps."""
 ANGLE_UNITS, FORCE_UNITS, BIAS_UNITS = 128, 256, 64
-"""Encoder units of a quantum of angle, of one of force, and what a spike of the bias takes from an angle."""
+"""Encoder units of a quantum of angle, of a quantum of force, and of the angle that a spike of the bias
+subtracts."""
 LATER = 1 << 14
-"""Encoder units that may wait, 128 quanta of angle."""
+"""Largest amount that the encoder can postpone, in encoder units; 128 quanta of angle."""
 TURN_BITS = 10
-"""A quantum of angle is 2^-10 rad / S."""
+"""A quantum of angle is 2^-10 rad / S, with S steps per sample."""
 FORCE = 0.25
-"""Specific force of a quantum, in units of 9.81 m/s²."""
+"""Specific force of a quantum [9.81 m/s²]."""
 TURN_RATE = 2.0**-TURN_BITS * 200
-"""Body rate of a quantum of angle in every step [rad/s], whatever the number of steps per sample."""
+"""Body rate that gives one quantum of angle per step, for any number of steps per sample [rad/s]."""
 BIAS_RATE = TURN_RATE * BIAS_UNITS / ANGLE_UNITS
-"""Bias of a spike in every step, the largest that is taken from a rate: 5.6 °/s, in rad/s."""
+"""Bias that spikes in every step, which is the largest that can be subtracted from a rate: 5.6 °/s, in
+rad/s."""
 LEAD = 3
-"""Half steps by which a vector's spikes run ahead of it in a turn. A turn reaches the vector a step and a
-half after the middle of the spikes that it multiplied; with the lead, its length stays as it is."""
+"""Lead of a vector's spikes during a rotation, in half steps. A rotation reaches the vector one and a half
+steps after the middle of the spikes that it multiplied; the lead keeps the length of the vector constant."""
 RINGS = 16, 15
-"""Neurons of two rings. In each ring, one neuron spikes per step, in turn. Both add to the thresholds of
-gates and gate inputs: the first ring in steps of 1/16, the second in fifteenths of that."""
+"""Numbers of neurons in two rings. In each ring, the neurons spike in turn, one per step. Both rings add to
+the thresholds of gates and gate inputs: the first in steps of 1/16, the second in fifteenths of that."""
 
 
 def _thresholds():
-    """Sums of both rings, step by step: any short time has high and low ones, 240 steps have each once."""
+    """Return the sum of both rings in each of 240 steps, in which each sum occurs once."""
     first, second = (np.argsort(np.argsort(np.arange(n) * (5**0.5 - 1) / 2 % 1)) for n in RINGS)
     fine = np.rint((second + 0.5) * 128 / RINGS[1]) * (ONE >> 11)
     t = np.arange(RINGS[0] * RINGS[1])
@@ -63,13 +66,16 @@ def _thresholds():
 RING = _thresholds()
 _HALVES = (3 ** np.arange(ANGLE_DIGITS) - 1) // 2
 DIGITS = ((np.arange(ANGLE_MAX + 1)[:, None] + _HALVES) // 3 ** np.arange(ANGLE_DIGITS) % 3 > 0).sum(1)
-"""How many of the balanced ternary digits of a number are not 0."""
+"""Number of non-zero balanced ternary digits of each number."""
 EVENTS = ("angles", "vectors", "coincidences", "innovations", "gates", "felt", "bias", "learning", "forces")
-"""Kinds of spikes that a circuit counts, each of the unsigned ones."""
+"""Kinds of unsigned spikes that a circuit counts."""
 
 
 class Circuit(NamedTuple):
-    """Integer parameters, in membrane units a spike; axes of `mix` to `read`: the body's, from, to."""
+    """Integer parameters, in membrane units per spike.
+
+    The axes of `mix` to `read` are body axis, source, target.
+    """
 
     mix: Int32s  #: A, from vectors to vectors (3, V, V)
     pull: Int32s  #: B, of vectors by a quantum of force (3, V)
@@ -78,14 +84,14 @@ class Circuit(NamedTuple):
     read: Int32s  #: R, of innovations by a quantum of force (3, Q)
     gate: Int32s  #: W, of gates by what is felt (Q, 5)
     levels: Int32s
-    """Of each gate bias, start, decay, decay of its innovation, gain when readings resume (5, Q)."""
+    """For each gate: bias, start, decay, decay of its innovation, and gain when readings resume (5, Q)."""
     sense: Int32s  #: decay of what is felt, weights of force, turn and first vector, bias of z (5,)
     learn: Int32s  #: vector, gate and κ of each product for the gyroscope's bias (pairs, 3)
     start: Int32s  #: z of each vector at the start (V,)
 
 
 class CircuitState(NamedTuple):
-    """What a copy keeps from step to step, as parts of its row of numbers."""
+    """State of a copy between steps, as views of its row of numbers."""
 
     angle: Int32s  #: of the gyroscope, that no spike has yet represented (3,)
     force: Int32s  #: of the accelerometer (3,)
@@ -114,7 +120,7 @@ class Spikes(NamedTuple):
 
 @njit
 def no_spikes(vectors, gates):
-    """Room for the spikes of a step."""
+    """Return empty arrays for the spikes of a step."""
     return Spikes(
         np.zeros((3, vectors), np.int32),
         np.zeros(3, np.int32),
@@ -126,7 +132,7 @@ def no_spikes(vectors, gates):
 
 @njit(inline="always")
 def state_of(row, vectors, gates):
-    """`CircuitState` of a row of numbers, which begins with the encoder's."""
+    """Return the `CircuitState` of a row of numbers, which begins with the encoder's state."""
     v, q = 3 * vectors, 3 * gates
     at = ENCODED + 6
     x, y, turned = row[at : at + v], row[at + v : at + 2 * v], row[at + 2 * v : at + 3 * v]
@@ -154,7 +160,7 @@ def state_of(row, vectors, gates):
 
 @njit(inline="always")
 def circuit_of(row, vectors, gates):
-    """`Circuit` of a row of its numbers."""
+    """Return the `Circuit` of a row of numbers."""
     v, q = 3 * vectors, 3 * gates
     mix, row = row[: v * vectors], row[v * vectors :]
     pull, row = row[:v], row[v:]

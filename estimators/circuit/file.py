@@ -1,4 +1,4 @@
-"""The circuit on disk: a safetensors file of its parameters in floats, from which spikes are derived."""
+"""Files of circuits: safetensors with parameters in floats, from which the chip's integers are derived."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from .parameters import Parameters, expected_shapes
 
 FILE = ASSETS / "weights" / f"att-snn{END}"
 SHIPPED: dict[str, Path] = dict.fromkeys(("att-snn", "att-snn-loihi", "att-rnn"), FILE)
-"""Names under which a circuit ships, and its file."""
+"""Names and files of shipped circuits."""
 
 
 class CircuitConfig(Strict):
-    """What a file says of a circuit beside its numbers."""
+    """Metadata of a circuit's file."""
 
     vectors: Annotated[int, Between(4, 64)]
     """Number of rotating vectors."""
@@ -33,11 +33,11 @@ class CircuitConfig(Strict):
     steps_per_sample: Literal[1, 2, 4] = 4
     """Steps of the chip for each IMU sample."""
     training: dict[str, JsonValue] = Field(default_factory=dict)
-    """Data, seed, updates, commit, validation error."""
+    """Training: data, seed, updates, commit, validation error."""
 
 
 class CircuitFile(NamedTuple):
-    """A circuit as its file holds it."""
+    """Content of a circuit's file."""
 
     config: CircuitConfig
     parameters: Parameters
@@ -47,7 +47,7 @@ def save_circuit(path: str | Path, config: CircuitConfig, p: Parameters) -> None
     """Write a circuit.
 
     Raises:
-        ValueError: Parameters that do not fit the configuration, or are not finite.
+        ValueError: The parameters do not fit the configuration or are not finite.
     """
     shapes = {name: value.shape for name, value in p._asdict().items()}
     check_shapes(path, shapes, *_shapes(config, shapes))
@@ -58,7 +58,7 @@ def save_circuit(path: str | Path, config: CircuitConfig, p: Parameters) -> None
 
 
 def is_circuit(path: str | Path) -> bool:
-    """Whether a file, or a name that ships, is a circuit and not a network of layers."""
+    """Return whether a file or a shipped name refers to a circuit and not to a network of layers."""
     file = _place(path)
     if not file.is_file():
         return False
@@ -70,14 +70,14 @@ def is_circuit(path: str | Path) -> bool:
 
 
 def load_circuit(path: str | Path) -> CircuitFile:
-    """Read a circuit that `save_circuit` wrote.
+    """Read a circuit written by `save_circuit`.
 
     Args:
-        path: The file, or "att-snn", the one that ships.
+        path: The file, or "att-snn" for the shipped circuit.
 
     Raises:
-        FileNotFoundError: No such file.
-        ValueError: One line: not such a file, or tensors of the wrong shape or type.
+        FileNotFoundError: The file does not exist.
+        ValueError: The file is not a circuit, or a tensor has the wrong shape or type.
     """
     file = _place(path)
     if not file.is_file():
@@ -92,7 +92,7 @@ def _place(path: str | Path) -> Path:
 
 
 LARGEST = 1e4
-"""Beyond any parameter of a circuit."""
+"""Upper bound for the magnitude of a circuit's parameters."""
 
 
 def _shapes(config: CircuitConfig, found: Shapes) -> tuple[Shapes, Shapes]:

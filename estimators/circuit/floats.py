@@ -1,4 +1,4 @@
-"""Att-RNN: the circuit in floats, which the trainer also runs; n copies side by side.
+"""Att-RNN: the circuit in floats, for n copies at once. The training also uses it.
 
 The equations are those of `estimators.circuit.parameters`, with one Euler step per sample; the turn is
 x - θ × x + θ × (θ × x) / 2 for an angle θ = (ω - b) dt. Arrays have the copies last: (time, axis, copy).
@@ -22,15 +22,15 @@ Floats = NDArray[np.float32]
 DT = F(1 / RATE_HZ)
 _FELT_STEP, _FELT_TURN = F(1 / (RATE_HZ * FELT_S)), F(RATE_HZ / FELT_RATE)
 BIAS_MAX = F(BIAS_RATE)
-"""Largest bias that is taken from a rate, and half of the largest that is held [rad/s]."""
+"""Largest bias that is subtracted from a rate, and half of the largest bias in the state [rad/s]."""
 SMOOTH = F(-np.expm1(-1 / (RATE_HZ * SMOOTH_S)))
-"""Share of the way that an innovation goes in a sample."""
+"""Smoothing factor of an innovation per sample."""
 CHUNK = 500
-"""Samples that an estimator takes at once; what it needs to keep of them is bounded."""
+"""Number of samples that an estimator processes at once, which limits its memory."""
 
 
 class Steps(NamedTuple):
-    """Parameters for the kernels: float32, a step's worth; an axis of length 3 is the body's."""
+    """Parameters for the kernels, float32, per step; an axis of length 3 is that of the body."""
 
     mix: Floats  #: (3, V, V)
     pull: Floats  #: (3, V)
@@ -46,7 +46,7 @@ class Steps(NamedTuple):
 
 
 class Signals(NamedTuple):
-    """What a run over T samples leaves, from the state before the first: all that its gradient needs."""
+    """Trace of a run over T samples, starting with the initial state, for the gradient."""
 
     x: Floats  #: vectors (T + 1, V, 3, n)
     bias: Floats  #: (T + 1, 3, n) [rad/s]
@@ -56,14 +56,14 @@ class Signals(NamedTuple):
 
 
 class Senses(NamedTuple):
-    """The rest of the state, changed in place."""
+    """The other parts of the state, changed in place."""
 
     smooth: Floats  #: force, rate and surprise, smoothed (9, n)
     u: Floats  #: of the gates (Q, n)
 
 
 def stepped(p: Parameters) -> Steps:
-    """Parameters for the kernels."""
+    """Convert parameters for the kernels."""
     dt = 1 / RATE_HZ
     values = (
         p.mix[[0, 0, 1]] * dt, p.pull[[0, 0, 1]] * dt, p.give[:, [0, 0, 1]] * dt, p.take[:, [0, 0, 1]],
@@ -84,7 +84,7 @@ def _room(steps, vectors, gates, n):
 
 
 def new_trace(p: Parameters, steps: int, n: int) -> tuple[Signals, Senses]:
-    """Room for a run of n copies over T samples, at its start."""
+    """Return arrays for a run of n copies over T samples, with the initial state."""
     trace = _room(steps, len(p.start), len(p.level), n)
     trace.x[0], trace.bias[0], trace.e[0] = 0, 0, 0
     trace.x[0, :, 2] = p.start[:, None]
@@ -98,10 +98,10 @@ def run_floats(angle, force, again, w, trace, senses):
     Args:
         angle: Body rate times the time of a sample (T, 3, n) [rad].
         force: Specific force (T, 3, n) [9.81 m/s²].
-        again: Whether readings resume after a gap in a sample (T, n).
-        w: `Steps`.
-        trace: `Signals`; x[0], bias[0] and e[0] are read, the rest is written.
-        senses: `Senses`, changed.
+        again: Whether a sample is the first after a gap in the readings (T, n).
+        w: Parameters.
+        trace: Trace of the run; x[0], bias[0] and e[0] are read, the rest is written.
+        senses: Other parts of the state, changed in place.
     """
     for t in range(angle.shape[0]):
         _feel(t, angle[t], force[t], again[t], w, trace, senses)
@@ -117,7 +117,7 @@ def _share(v):
 
 @njit
 def unbiased(angle, bias):
-    """Angles of a sample (3, n) without what the bias adds."""
+    """Subtract the bias from the angles of a sample (3, n)."""
     found = np.empty_like(angle)
     for i in range(3):
         for c in range(angle.shape[1]):
@@ -127,13 +127,13 @@ def unbiased(angle, bias):
 
 @njit(inline="always")
 def _passed(opened, e):
-    """What of an innovation passes its gate: d = clip(r clip(e, ±2), ±1)."""
+    """Return the gated innovation d = clip(r clip(e, ±2), ±1)."""
     return min(max(_share(opened) * min(max(e, F(-2)), F(2)), F(-1)), F(1))
 
 
 @njit
 def _feel(t, angle, force, again, w, trace, senses):
-    """What is felt in this sample, and how far the gates open."""
+    """Compute the inputs of the gates in this sample, and the gates."""
     smooth, u, felt = senses.smooth, senses.u, trace.felt[t]
     for i in range(3):
         still = F(i == 2)
@@ -159,7 +159,7 @@ def _feel(t, angle, force, again, w, trace, senses):
 
 @njit
 def _turn_and_mix(angle, force, w, x, following):
-    """All vectors turn, mix and are pulled."""
+    """Rotate, mix and correct all vectors."""
     n, vectors = angle.shape[1], x.shape[0]
     cross = np.empty((3, n), F)
     for m in range(vectors):
@@ -179,7 +179,7 @@ def _turn_and_mix(angle, force, w, x, following):
 
 @njit
 def _innovate(t, force, w, trace):
-    """Innovations, smoothed, and what passes their gates."""
+    """Compute smoothed and gated innovations."""
     x, following, e, opened = trace.x[t], trace.x[t + 1], trace.e[t + 1], trace.opened[t]
     n, vectors = force.shape[1], x.shape[0]
     passed = np.empty(n, F)
@@ -200,7 +200,7 @@ def _innovate(t, force, w, trace):
 
 @njit
 def _learn(t, w, trace):
-    """The gyroscope's bias."""
+    """Update the gyroscope bias."""
     bias, following = trace.bias[t], trace.bias[t + 1]
     n = bias.shape[1]
     passed = np.empty((3, n), F)
@@ -221,7 +221,7 @@ def _learn(t, w, trace):
 
 
 class FloatCircuit:
-    """The circuit in floats as an estimator; a `NetworkCore`."""
+    """The circuit in floats, a `NetworkCore`."""
 
     outputs = 3
 
@@ -235,7 +235,7 @@ class FloatCircuit:
 
 @njit(cache=True, nogil=True)
 def _run_states(gyro, accel, set_points, scaling, w, start, onset, states, out):
-    """Run n copies from and to their states; see `NetworkCore`."""
+    """Run n copies and update their states, with the signature of `NetworkCore.kernel`."""
     n, samples = gyro.shape[0], gyro.shape[1] // 3
     vectors, gates = start.size, onset.size
     scales = Scaling(scaling[:6], scaling[6:])

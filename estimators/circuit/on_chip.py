@@ -1,4 +1,4 @@
-"""The neurons of a circuit on the chip."""
+"""Populations of a circuit on the chip, and their cores."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ class Population(NamedTuple):
     neurons: int
     compartments: int
     synapses: int
-    """Connections that enter them, with weights other than 0."""
+    """Number of non-zero incoming connections."""
 
 
 def populations(circuit: Circuit) -> list[Population]:
-    """The circuit's neurons by kind, from the encoders' spikes to the bias.
+    """Return the populations of the circuit, from the encoders' spikes to the bias.
 
-    A signed spike is that of one of two neurons. A vector has a compartment for its state on each axis, and
-    two somas; a product has a coincidence neuron for each two signs, digit, axis and other axis.
+    Two neurons represent a signed spike. Each axis of a vector has a compartment for the state and two somas.
+    A product has one coincidence neuron per pair of signs, digit, and pair of axes.
     """
     vectors, gates, pairs = len(circuit.start), len(circuit.gate), len(circuit.learn)
     angles, forces = SIGNS * ANGLE_DIGITS, SIGNS * FORCE_DIGITS
@@ -54,10 +54,10 @@ def populations(circuit: Circuit) -> list[Population]:
 
 
 def place(circuit: Circuit) -> int:
-    """Cores that the circuit takes, filled with one population after the other.
+    """Return the number of cores for the circuit, filled with one population after the other.
 
     Raises:
-        ValueError: More than a chip has.
+        ValueError: The circuit needs more cores than a chip has.
     """
     cores = -(-sum(each.compartments for each in populations(circuit)) // LIMITS["compartments"])
     if cores > CORES:

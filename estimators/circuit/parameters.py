@@ -1,18 +1,19 @@
-"""Parameters of the circuit that follows turns: from the equation, and as the chip's integers.
+"""Parameters of the circuit that tracks rotations: initial values, and conversion to integers.
 
-Gravity seen from the body, g, obeys ġ = -ω × g + (a / 9.81 - g) / τ: the first-order low-pass of the
-specific force a in a frame that does not turn. The circuit has V vectors x_m that all turn so and mix
-linearly, and Q innovations e_q. Each of these passes a gate by a share r_q, which depends on what is felt:
-forces, rates, and how far the force is from the first vector.
+The direction of gravity in body axes, g, obeys ġ = -ω × g + (a / 9.81 - g) / τ, a first-order low-pass of the
+specific force a in a frame that does not rotate. The circuit has V vectors x_m, which all rotate in this way
+and mix linearly, and Q innovations e_q. A gate passes the share r_q of an innovation. The inputs of the gates
+are forces, rates, and the difference between force and first vector.
 
     ẋ_m = -(ω - clip(b, ±R)) × x_m + Σ_n A_mn x_n + B_m a + Σ_q K_qm d_q
     τ_e ė_q = Σ_n P_qn x_n + R_q a - e_q,   d_q = clip(r_q clip(e_q, ±2), ±1)
     τ_q u̇_q = W_q z - u_q,   r_q = clip(u_q + c_q, 0, 1)
     ḃ = Σ_p κ_p (x_p × d_p), b within ±2 R
 
-with a in units of 9.81 m/s² and R = 5.6 °/s. Weights are scalars that treat x and y alike and z apart:
-whatever turns about z turns the estimate. The second vector is the world's up in body axes, and b the
-gyroscope's bias, as in Mahony et al. 2008, "Nonlinear complementary filters on the special orthogonal group".
+Here, a is in units of 9.81 m/s² and R = 5.6 °/s. The weights are scalars, equal for x and y and different for
+z, so that a rotation of the inputs about z rotates the estimate. The second vector is the world's z axis in
+body axes, and b is the gyroscope bias, as in Mahony et al. 2008, "Nonlinear complementary filters on the
+special orthogonal group".
 """
 
 from __future__ import annotations
@@ -27,25 +28,25 @@ from .circuit_records import BIAS_BITS, BIAS_RATE, FORCE, INNOVATION, ONE, TURN_
 Array = NDArray[np.float64]
 RATE_HZ = 200.0
 GRAVITY = 9.81
-"""Specific force of 1.0 [m/s²]."""
+"""Specific force of the value 1.0 [m/s²]."""
 OUTPUT = 1
-"""The vector that is read."""
+"""Index of the vector that is the output."""
 FELT = 5
-"""What a gate hears of: |a_x| + |a_y|, |a_z - 1|, |ω_x| + |ω_y|, |ω_z| and |a - x_0| summed over the axes,
-smoothed over `FELT_S` and each axis clipped to 1; rates in units of `FELT_RATE`."""
+"""Inputs of a gate: |a_x| + |a_y|, |a_z - 1|, |ω_x| + |ω_y|, |ω_z| and the sum of |a - x_0| over the axes.
+Each axis is smoothed over `FELT_S` and clipped to 1; rates are in units of `FELT_RATE`."""
 FELT_S = 0.05
 FELT_RATE = 4.0
-"""[rad/s]"""
+"""Body rate of a gate input of 1.0 [rad/s]."""
 SLOWEST, SLOW, FAST = (4096 / (k * 800) for k in (1, 3, 17))
-"""Time constants of gates, which are decays of the chip with four steps per sample: 5.1, 1.7 and 0.3 s."""
+"""Time constants of the gates, 5.1, 1.7 and 0.3 s, as decays of the chip with four steps per sample."""
 SMOOTH_S = 0.025
 """Time constant of innovations, τ_e, which smooths their spikes [s]."""
 TAU_S = 1.5
-"""Time constant of the pull before training [s]."""
+"""Time constant of the correction by the specific force before training [s]."""
 
 
 class Parameters(NamedTuple):
-    """The circuit in units of 1; axes of length 2 are horizontal and vertical."""
+    """Parameters of the circuit in floats; axes of length 2 are horizontal and vertical."""
 
     mix: Array  #: A (2, V, V) [1/s]
     pull: Array  #: B (2, V) [1/s]
@@ -64,11 +65,11 @@ class Parameters(NamedTuple):
 
 
 LEARNT = ("mix", "pull", "give", "take", "read", "learn", "gate", "level", "onset", "resume")
-"""What training changes."""
+"""Parameters that training changes."""
 
 
 def expected_shapes(vectors: int, gates: int, pairs: int) -> dict[str, tuple[int, ...]]:
-    """Shapes of `Parameters`, by name."""
+    """Return the shapes of `Parameters`, by name."""
     v, q = vectors, gates
     return {
         "mix": (2, v, v), "pull": (2, v), "give": (q, 2, v), "take": (q, 2, v), "read": (q, 2),
@@ -78,14 +79,14 @@ def expected_shapes(vectors: int, gates: int, pairs: int) -> dict[str, tuple[int
 
 
 def untrained(vectors: int = 4, gates: int = 8, seed: int = 0, weight_noise: float = 0.0) -> Parameters:
-    """The circuit of the equation: gravity in two stages, pulled fast at the start and slowly later.
+    """Return the initial circuit: two low-passes of gravity, fast at the start and slow later.
 
     Args:
         vectors: V, at least 4.
         gates: Q, at least 8.
-        seed: Of the noise.
-        weight_noise: Standard deviation of the noise that is added to the weights so that units differ before
-            training; relative to 0.01 /s.
+        seed: Seed of the noise.
+        weight_noise: Standard deviation of noise that is added to the weights, so that units differ before
+            training, relative to 0.01 /s.
     """
     rng = np.random.default_rng(seed)
     shapes = expected_shapes(vectors, gates, pairs=1)
@@ -126,7 +127,7 @@ def untrained(vectors: int = 4, gates: int = 8, seed: int = 0, weight_noise: flo
 
 
 def quantised(p: Parameters, steps: int) -> Circuit:
-    """The circuit in the chip's integers, with this many steps per sample."""
+    """Convert the circuit to the chip's integers, with this many steps per sample."""
     h = 1 / (RATE_HZ * steps)
     s = p.scale
     felt = round(4096 * h / FELT_S)
@@ -157,7 +158,7 @@ def quantised(p: Parameters, steps: int) -> Circuit:
 
 
 def _axes(values: Array) -> Array:
-    """From horizontal and vertical to x, y and z."""
+    """Expand horizontal and vertical to x, y and z."""
     return values[[0, 0, 1]]
 
 
@@ -166,7 +167,7 @@ def _whole(values: Array) -> NDArray[np.int32]:
 
 
 def _weights(values: Array) -> NDArray[np.int32]:
-    """Nearest weights of the chip: even mantissas up to 254, times 2^(6 + e) with e from -8 up."""
+    """Return the nearest weights of the chip: even mantissas up to 254, times 2^(6 + e) with e ≥ -8."""
     _, exponent = np.frexp(np.abs(values))
     unit = np.exp2(np.maximum(exponent - 8, -2).astype(np.float64)) * 2
     mantissa = np.minimum(np.rint(np.abs(values) / unit), 127)

@@ -1,8 +1,8 @@
-"""Att-SNN: the circuit on spikes, in the integers of the chip.
+"""Att-SNN: the spiking circuit in the integers of the chip.
 
-A step lasts 1 / (200 S) s, with S steps per sample. Membranes and currents have 24 bits with their sign, and
-1.0 is 2^20 of their units. Spikes are signed here; on the chip each is that of one of two neurons with
-mirrored synapses. Index t is the value after step t. Every connection delivers after one step:
+A step lasts 1 / (200 S) s, with S steps per sample. Membranes and currents have 24 bits including the sign,
+and 1.0 is 2^20 units. Spikes are signed here; on the chip, two neurons with mirrored synapses represent a
+signed spike. Index t is the value after step t. Every connection delivers after one step:
 
     n_ω, n_a  spikes of the encoders: angles in quanta of 2^-10 / S rad, forces in quanta of 9.81 / 4 m/s²
     vectors   s[t] = sign of y if |y| > 2^19, else 0, with y = y[t-1] + x[t-1]
@@ -24,9 +24,10 @@ with D(x, d) = sign(x) ((|x| (4096 - d)) >> 12); every membrane is clipped to ±
 n_ω × s is the sum of coincidence neurons, one for each two signs, axes and digit of n_ω: a spike of theirs
 needs one of the gyroscope and one of the vector.
 
-Three things are more than a leaky integrate-and-fire neuron has. Vectors, innovations and the bias are reset
-by subtraction. A gate joins f_q to z_q: the compartment passes it on in the steps in which the gate spikes.
-And `ring` is a threshold that two rings of neurons, which spike in turn, add to gates and to what feels.
+The circuit needs three features beyond leaky integrate-and-fire neurons. Vectors, innovations and the bias
+are reset by subtraction. A gate joins f_q to z_q: the compartment passes f_q on in steps in which the gate
+spikes. Finally, `ring` is a threshold that two rings of neurons, which spike in turn, add to gates and gate
+inputs.
 """
 
 from __future__ import annotations
@@ -66,11 +67,11 @@ class SpikingCircuit:
     """The circuit in the chip's integers; a `NetworkCore`.
 
     Args:
-        scaling: Of the readings.
-        circuit: Its parameters.
-        output: Which vector is read.
+        scaling: Scaling of the readings.
+        circuit: Parameters of the circuit.
+        output: Index of the vector that is the output.
         steps: Steps per sample, 1, 2 or 4.
-        unit: Length of the estimate for which the vector's neurons spike in every step.
+        unit: Length of the estimate at which the neurons of the vector spike in every step.
     """
 
     outputs = 3
@@ -87,10 +88,10 @@ class SpikingCircuit:
 
 @njit(cache=True, nogil=True)
 def run_circuit(gyro, accel, set_points, settings, numbers, states, out, fired=None):
-    """Run n copies over whole sequences, or one sample, from and to their states; see `NetworkCore`.
+    """Run n copies over sequences and update their states, with the signature of `NetworkCore.kernel`.
 
-    Where `fired` (n, T steps, 3 V + 3 Q + Q + 3) is given, the spikes of every step are written there: of
-    vectors by axis, innovations by axis, gates and bias, signed but for those of gates.
+    The spikes of every step are written to `fired` (n, T steps, 3 V + 3 Q + Q + 3), if given: vectors by
+    axis, innovations by axis, gates and bias. Only spikes of gates are unsigned.
     """
     scaling = Scaling(settings[:6], settings[6:12])
     steps, output, unit = int(settings[12]), int(settings[13]), settings[14]
@@ -122,7 +123,7 @@ def run_circuit(gyro, accel, set_points, settings, numbers, states, out, fired=N
 
 @njit(inline="always")
 def _sense(gyro, accel, scaling, row, state, circuit):
-    """Take in one sample; the first one after a gap opens gates."""
+    """Process one sample; the first one after a gap opens gates."""
     encode_sample(gyro, accel, scaling, row)
     if state.ring[0] and resumed(row):
         for q in range(circuit.levels.shape[1]):
@@ -131,7 +132,7 @@ def _sense(gyro, accel, scaling, row, state, circuit):
 
 @njit
 def step(row, state, circuit, steps, spikes):
-    """One step of a copy, of several per sample, from its last readings; `spikes` is written."""
+    """Run one of several steps per sample of a copy, and write `spikes`."""
     s, n_w, n_a, heard, opened = spikes
     state.ring[0] = state.ring[0] % RING.size + 1
     threshold = RING[state.ring[0] - 1]
@@ -154,21 +155,21 @@ def _clipped(v):
 
 @njit(inline="always")
 def _spike(v, bits):
-    """A signed spike of a soma that is reset by 2^bits."""
+    """Return the signed spike of a soma, which is reset by 2^bits."""
     half = 1 << (bits - 1)
     return np.int32(v > half) - np.int32(v < -half)
 
 
 @njit(inline="always")
 def _quanta(waiting, units, most):
-    """Whole quanta nearest to what waits, as many as the digits can say; and what waits then."""
+    """Return the number of quanta to send, limited by the digits, and the remainder."""
     n = min(max((waiting + units // 2) // units, -most), most)
     return np.int32(n), np.int32(min(max(waiting - units * n, -LATER), LATER))
 
 
 @njit(inline="always")
 def _encode(row, state, n_w, n_a):
-    """Spikes of the encoders, on the host."""
+    """Compute the spikes of the encoders, on the host."""
     for i in range(3):
         unbiased = row[i] - BIAS_UNITS * state.bias[2, i]
         n_w[i], state.angle[i] = _quanta(state.angle[i] + unbiased, ANGLE_UNITS, ANGLE_MAX)
@@ -179,7 +180,7 @@ def _encode(row, state, n_w, n_a):
 
 @njit(inline="always")
 def _fire(state, s):
-    """Spikes of the vectors and of the bias."""
+    """Compute the spikes of the vectors and of the bias."""
     for i in range(3):
         for m in range(s.shape[1]):
             v = _clipped(state.y[i, m] + state.x[i, m])
@@ -197,7 +198,7 @@ def _fire(state, s):
 
 @njit(inline="always")
 def _feel(state, sense, threshold, n_w, n_a, s, heard):
-    """Spikes of the neurons that feel force, rate and surprise, by kind; then their currents."""
+    """Compute the spikes of the gate inputs, by kind, and then their currents."""
     heard[:] = 0
     for i in range(3):
         for k in range(3):
@@ -213,7 +214,7 @@ def _feel(state, sense, threshold, n_w, n_a, s, heard):
 
 @njit(inline="always")
 def _hear(state, circuit, heard):
-    """Currents of the gates."""
+    """Update the currents of the gates."""
     for q in range(circuit.gate.shape[0]):
         total = decay(state.gate[q], circuit.levels[2, q])
         for k in range(heard.size):
@@ -223,7 +224,7 @@ def _hear(state, circuit, heard):
 
 @njit(inline="always")
 def _advance(state, circuit, s, n_a):
-    """The vectors: what they mix, are pulled, corrected and turned by."""
+    """Update the vectors: mixing, corrections and rotation."""
     x, vectors, gates = state.x, s.shape[1], state.passed.shape[1]
     for i in range(3):
         for m in range(vectors):
@@ -243,7 +244,7 @@ def _advance(state, circuit, s, n_a):
 
 @njit(inline="always")
 def _turn(state, n_w, s, steps):
-    """Coincidences of the gyroscope's spikes with those of the vectors."""
+    """Compute the coincidences of the gyroscope's spikes with those of the vectors."""
     weight = (ONE >> TURN_BITS) // steps
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
@@ -255,7 +256,7 @@ def _turn(state, n_w, s, steps):
 
 @njit(inline="always")
 def _innovate(state, circuit, opened, s, n_a):
-    """What the bias gets, the spikes of the innovations, and their currents."""
+    """Update the bias, the spikes of the innovations, and their currents."""
     due, passed = state.bias[3], state.passed
     for p in range(circuit.learn.shape[0]):
         m, q, kappa = circuit.learn[p]

@@ -1,4 +1,4 @@
-"""Attitude controllers that are networks: everything that runs when one flies."""
+"""Spiking networks as attitude controllers."""
 
 from .controller import SpikingController, create_controller
 

@@ -1,12 +1,13 @@
-"""A spiking network as attitude controller: set-points and readings to angular accelerations.
+"""A spiking network as attitude controller, from set-points and readings to angular accelerations.
 
-It takes the place of the cascade's levels of attitude and body rate, see
-`quadsim.control.attitude_controller`, and has the body rate and any estimator's roll and pitch. As for an
-attitude network, the host only scales inputs and outputs; its memory is the last valid inputs.
+The controller replaces the attitude and body-rate loops of the cascade (see
+`quadsim.control.attitude_controller`). Its inputs are set-point, body rate, and roll and pitch from any
+estimator. As for an attitude network, the host only scales inputs and outputs, and stores only the last valid
+inputs.
 
-Inputs are bounded and so are outputs. A set-point is clipped to the limits of the file's `SetPointScaling`;
-one that is NaN keeps its last value, and so does a missing reading. An angular acceleration is clipped to
-`bound`. There is no integral beside the potentials of the neurons, which the chip limits to 1024 thresholds.
+Inputs and outputs are bounded. A set-point is clipped to the limits of the file's `SetPointScaling`. A
+set-point that is NaN and a missing reading keep their last values. An angular acceleration is clipped to
+`bound`. The only integrators are the potentials of the neurons, which the chip limits to 1024 thresholds.
 """
 
 from __future__ import annotations
@@ -43,15 +44,15 @@ CASCADED = "cascaded"
 BUILT_IN: dict[str, tuple[str, MakeController | None]] = {
     CASCADED: ("Attitude and body rate in cascade; gains designed for phase margins.", None),
 }
-"""Controllers that have no weights: what each is, and what makes it; None: the cascade's own levels."""
+"""Controllers without weights: description and factory of each; the factory None means the cascade."""
 GROUP = "quadsim.controllers"
-"""Group of the entry points by which an installed package offers controllers."""
+"""Group of entry points for controllers of installed packages."""
 LOIHI = "-loihi"
-"""End of the name of a controller that runs in the chip's integers."""
+"""Suffix of the names of controllers that run in the chip's integers."""
 THRUST_MAX = 100.0
-"""Largest collective thrust per mass that passes through [m/s²]."""
+"""Largest collective thrust per mass [m/s²]."""
 LEVEL = np.array([0.0, 0.0, 0.0, GRAVITY])
-"""Set-point before the first."""
+"""Initial set-point."""
 
 
 def create_controller(
@@ -60,14 +61,14 @@ def create_controller(
     """Make a spiking attitude controller.
 
     Args:
-        path_or_name: A weights file, or the name of a controller that ships; with "-loihi" at its end it runs
-            in the emulated chip's integers.
-        rate_hz: Samples per second; the one that it was trained for.
-        vehicle: Not used: angular accelerations are asked for, and the allocation knows the vehicle.
+        path_or_name: A weights file, or the name of a shipped controller. With the suffix "-loihi", the
+            controller runs in the emulated chip's integers.
+        rate_hz: Samples per second, which must be the rate of the training.
+        vehicle: Not used, because the controller commands angular accelerations.
 
     Raises:
         FileNotFoundError: No such file.
-        ValueError: An attitude estimator's weights, or another sample rate.
+        ValueError: The weights are those of an attitude estimator or of another sample rate.
     """
     name = str(path_or_name)
     path = name.removesuffix(LOIHI)
@@ -81,21 +82,21 @@ def create_controller(
 
 
 def is_controller(name: str) -> bool:
-    """Whether a name is that of a controller's weights: a path, or a name under which some ship."""
+    """Return whether a name is a path or a shipped name of a controller's weights."""
     path = name.removesuffix(LOIHI)
     return path.endswith(END) or path in shipped_controllers()
 
 
 def make_controller(name: str | Path) -> MakeController | None:
-    """What makes a controller; None for the cascade's own.
+    """Return the factory of a controller; None for the cascade.
 
     Args:
-        name: "cascaded"; a spiking controller's weights, by path or by the name under which they ship; or
-            your own: "module:make", "path/file.py:make" or an entry point of the group
-            "quadsim.controllers", called as make(rate_hz, vehicle).
+        name: "cascaded"; weights of a spiking controller, by path or shipped name; or your own factory,
+            called as make(rate_hz, vehicle): "module:make", "path/file.py:make" or an entry point of the
+            group "quadsim.controllers".
 
     Raises:
-        ValueError: There is no such controller.
+        ValueError: The controller does not exist.
     """
     name = str(name)
     if name in BUILT_IN:
@@ -112,12 +113,12 @@ class SpikingController(BatchedNetwork):
     """A network that controls the attitude of n vehicles; an `AttitudeController`.
 
     Args:
-        config: How the network is run.
-        tensors: Its weights.
-        on_loihi: Whether it runs in the emulated chip's integers, with the same outputs.
+        config: Configuration of the network.
+        tensors: Weights.
+        on_loihi: Whether to run in the emulated chip's integers, with the same outputs.
 
     Raises:
-        ValueError: The network is no controller, or not for the chip.
+        ValueError: The network is not a controller, or does not run on the chip.
     """
 
     def __init__(self, config: NetworkConfig, tensors: Tensors, on_loihi: bool = False) -> None:
@@ -129,12 +130,12 @@ class SpikingController(BatchedNetwork):
         self.reset(1)
 
     def reset(self, n: int) -> None:
-        """Start n vehicles: at rest, with level set-points."""
+        """Start n vehicles at rest with level set-points."""
         self.begin(n)
         self._set_point = np.tile(LEVEL, (n, 1))
 
     def restart(self, ids: ArrayLike) -> None:
-        """Start some of the vehicles again."""
+        """Restart some vehicles."""
         self._set_point[self._begin_again(ids)] = LEVEL
 
     def update(self, set_point: Array, gyro: Array, accel: Array, roll_pitch: Array) -> Array:
@@ -157,10 +158,10 @@ class SpikingController(BatchedNetwork):
         return self.sequence(wanted, rate, gravity)[:, 0]
 
     def sequence(self, set_point: ArrayLike, gyro: ArrayLike, gravity: ArrayLike) -> Array:
-        """T samples as T calls of `update`: (n, T, 4), (n, T, 3), and `gravity_of` an attitude (n, T, 3).
+        """Process T set-points (n, T, 4), body rates (n, T, 3), and `gravity_of` attitudes (n, T, 3).
 
         Returns:
-            (n, T, 4).
+            The commands of T calls of `update`, (n, T, 4).
         """
         wanted, rate = np.asarray(set_point, np.float64), np.asarray(gyro, np.float64)
         shape = len(self._states), rate.shape[1] if rate.ndim == 3 else 0, 4
@@ -173,7 +174,7 @@ class SpikingController(BatchedNetwork):
 
 
 def gravity_of(roll_pitch: ArrayLike) -> Array:
-    """Specific force at rest at an attitude: roll and pitch (..., 2) [rad], (..., 3) [m/s²]."""
+    """Return the specific force at rest (..., 3) [m/s²] for roll and pitch (..., 2) [rad]."""
     angles = np.asarray(roll_pitch, np.float64)
     if angles.shape[-1:] != (2,):
         raise ValueError(f"roll_pitch: shape {angles.shape}, should be (..., 2)")
@@ -183,21 +184,22 @@ def gravity_of(roll_pitch: ArrayLike) -> Array:
 
 
 class SetPoints(NamedTuple):
-    """Set-points as a network has them."""
+    """Set-points as inputs of a network."""
 
     followed: Array
-    """(n, T, 4), within their limits and without NaN, units as in `SpikingController.update`."""
+    """Set-points within their limits and without NaN, (n, T, 4), in the units of
+    `SpikingController.update`."""
     inputs: Array
-    """(n, T, 3): roll, pitch and yaw rate as integers, in steps of 1/1024."""
+    """Roll, pitch and yaw rate as integers in steps of 1/1024, (n, T, 3)."""
 
 
 def follow(scaling: SetPointScaling, set_point: Array, last: Array | None = None) -> SetPoints:
-    """Clip set-points (n, T, 4) to their limits; one that is NaN keeps its value before.
+    """Clip set-points (n, T, 4) to their limits; NaN keeps the previous value.
 
     Args:
         scaling: Limits and ranges.
-        set_point: Units as in `SpikingController.update`.
-        last: (n, 4) what they were before, changed to what they are at the end; None: level.
+        set_point: Set-points in the units of `SpikingController.update`.
+        last: (n, 4) previous set-points, updated to the last ones; None: level.
     """
     n, steps = set_point.shape[:2]
     last = np.tile(LEVEL, (n, 1)) if last is None else last
@@ -208,7 +210,7 @@ def follow(scaling: SetPointScaling, set_point: Array, last: Array | None = None
 
 
 def set_point_gain(scaling: SetPointScaling) -> Array:
-    """Integer inputs for each radian or rad/s of roll, pitch and yaw rate, (3,)."""
+    """Return the integer inputs per rad of roll and pitch and per rad/s of yaw rate, (3,)."""
     return INPUT_ONE / np.array([scaling.tilt, scaling.tilt, scaling.yaw_rate])
 
 

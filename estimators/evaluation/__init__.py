@@ -1,1 +1,1 @@
-"""Evaluation without a loop: recorded flights or logs go in; errors, intervals and figures come out."""
+"""Evaluation of estimators on recorded flights and logs: errors, intervals and figures."""

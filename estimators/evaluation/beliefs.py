@@ -1,4 +1,4 @@
-"""What `imm` believes along a recording: probabilities of its models, and how honest its sigma is."""
+"""Model probabilities of `imm` along a recording, and the coverage of its confidence interval."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,27 +15,27 @@ from ..metrics import absolute_error
 Array = NDArray[np.float64]
 
 EVERY_S = 0.1
-"""Time between the samples at which an estimator is asked for more than its estimate [s]."""
+"""Time between the samples at which probabilities and standard deviations are read [s]."""
 NORMAL_95 = 1.96
 """Half the width of the 95 % interval of a normal distribution, in standard deviations."""
 WIDE = 2.0
-"""An interval is called wide where its standard deviation is above this many times the error."""
+"""An interval is called too wide if its standard deviation is more than this many times the error."""
 
 
 @dataclass(frozen=True)
 class Beliefs:
-    """Estimates of n recordings at k samples of theirs."""
+    """Estimates of n recordings at k samples."""
 
     models: tuple[str, ...]
     """Names of the m models."""
     samples: NDArray[np.int64]
-    """Which samples they are, (k,)."""
+    """Indices of the samples, (k,)."""
     roll_pitch: Array
-    """(n, k, 2) [rad]."""
+    """Roll and pitch (n, k, 2) [rad]."""
     sigma: Array
     """Standard deviation of roll and pitch (n, k, 2) [rad]."""
     probability: Array
-    """Of each model, (n, k, m)."""
+    """Probability of each model, (n, k, m)."""
 
     def share(self) -> dict[str, float]:
         """Mean probability of each model over all samples of all recordings."""
@@ -47,11 +47,11 @@ class Beliefs:
         return float(np.degrees(np.median(self.sigma)))
 
     def interval(self, truth: Array, counted: NDArray[np.bool_] | None = None) -> "Coverage":
-        """The 95 % interval beside the error, over the angles that are known; NaN if none is.
+        """Return the coverage of the 95 % interval over known angles; NaN if no angle is known.
 
         Args:
             truth: Roll and pitch of all samples (n, T, 2) [rad]; NaN where they are not known.
-            counted: Samples that count (n, T); None for all.
+            counted: Samples to use (n, T); None for all.
         """
         error = np.radians(absolute_error(self.roll_pitch, truth[:, self.samples]))
         known = np.isfinite(error)
@@ -65,10 +65,10 @@ class Beliefs:
 
 
 class Coverage(NamedTuple):
-    """How honest a 95 % interval is."""
+    """Coverage of a 95 % interval."""
 
     inside: float
-    """Share of true rolls and pitches within it."""
+    """Share of true rolls and pitches inside the interval."""
     sigma_deg: float
     """Median of the standard deviation [deg]."""
     rmse_deg: float
@@ -76,7 +76,7 @@ class Coverage(NamedTuple):
 
     @property
     def text(self) -> str:
-        """How many true angles are inside, and how wide the interval is."""
+        """Describe the coverage, the median standard deviation and the error."""
         wide = ", so the interval is too wide" if self.sigma_deg > WIDE * self.rmse_deg else ""
         return (
             f"{100 * self.inside:.0f} % of the true angles are inside its 95 % interval; its median σ is "
@@ -85,14 +85,14 @@ class Coverage(NamedTuple):
 
 
 def run_in_steps(est: AttitudeEstimator, readings: Readings) -> Iterator[tuple[int, Array]]:
-    """Run an estimator with a `sequence` from an unknown start, and stop every tenth of a second.
+    """Run an estimator with a `sequence` from an unknown start, and yield every tenth of a second.
 
     Args:
-        est: The estimator; its state at each stop can be asked for.
-        readings: Of n recordings (n, T, ·).
+        est: The estimator, whose state can be read at each yield.
+        readings: Readings of n recordings (n, T, ·).
 
     Yields:
-        The last sample that it was given, and roll and pitch (n, 2) [rad].
+        Index of the last processed sample, and roll and pitch (n, 2) [rad].
     """
     est.reset(len(readings.gyro))
     sequence = est.sequence  # pyright: ignore[reportAttributeAccessIssue]
@@ -105,7 +105,7 @@ def run_in_steps(est: AttitudeEstimator, readings: Readings) -> Iterator[tuple[i
 def beliefs(
     est: AttitudeEstimator, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]
 ) -> Beliefs | None:
-    """Run an estimator as `run_in_steps` does, and ask it at each stop; None if it has no models.
+    """Run an estimator and record model probabilities at regular times; None if it has no models.
 
     Args:
         est: The estimator.

@@ -32,16 +32,16 @@ from .flights import Flights, Initial, load_flights, vehicle_of
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
-"""progress(estimators done, estimators in all, the one that is next)."""
+"""Called as progress(finished estimators, all estimators, name of the next one)."""
 
 TILTS_DEG = (20.0, 45.0)
-"""Tilts in which estimators that take themselves to be level are started, to time their recovery."""
+"""Tilts of the vehicle at which estimators are started at level, to measure their recovery [deg]."""
 STARTS = 2
-"""How many such starts are taken of each flight."""
+"""Largest number of tilted starts per flight."""
 SETTLED_DEG = 2.0
-"""Inclination error below which an estimator counts as converged."""
+"""Inclination error below which an estimator counts as converged [deg]."""
 BLOCK_S = 0.5
-"""Error over time is averaged over blocks of this length."""
+"""Length of the blocks over which the error is averaged [s]."""
 
 COLUMNS = {
     "log": "Name of a log; empty for a dataset.",
@@ -72,37 +72,40 @@ COLUMNS = {
     "tied": "Whether it does not differ significantly from the best (the paired interval includes 0).",
     "faults": "Of a log: faults of the sensors that begin inside it; empty if none is found.",
 }
-"""Columns of the table, a row for each log, estimator, start and kind of bias."""
+"""Columns of the table, which has a row for each log, estimator, start and kind of bias."""
 
 
 @dataclass
 class Evaluation:
-    """The table, and what its figures are drawn from; keys are (estimator, initial)."""
+    """Results of an evaluation. The keys of dictionaries are (estimator, initial)."""
 
     table: pd.DataFrame = field(default_factory=pd.DataFrame)
-    """The columns are those of `COLUMNS`."""
+    """The table, with the columns `COLUMNS`."""
     sequences: dict[tuple[str, str], Array] = field(default_factory=dict)
     """Mean absolute error of each sequence of a dataset (n,) [deg]."""
     settling: dict[tuple[str, float], Array] = field(default_factory=dict)
-    """(estimator, tilt) to the median over starts of the inclination error in each block [deg]."""
+    """For each (estimator, tilt), the inclination error in each block, median over starts [deg]."""
 
     @property
     def rows(self) -> list[Any]:
-        """Rows of the table, with its columns as attributes."""
+        """Rows of the table, with the columns as attributes."""
         return list(self.table.itertuples(index=False))
 
     @property
     def tilts_deg(self) -> list[float]:
-        """Tilts that estimators were started in; none if no flight has such a tilt and lasts long enough."""
+        """Tilts at which estimators were started.
+
+        There are none if no flight reaches such a tilt and lasts long enough.
+        """
         return sorted({tilt for (_, tilt), curve in self.settling.items() if curve.size})
 
     def write_csv(self, path: Path) -> None:
-        """Write the table."""
+        """Write the table as CSV."""
         write_csv(path, self.table.to_dict("records"))
 
 
 def behind_the_best(row: Any) -> str:
-    """The paired difference of a row from the best estimator with its interval, as tables show it."""
+    """Format the paired difference of a row from the best estimator, with its interval."""
     if row.unranked:
         return "reference" if row.unranked == "reference" else "not ranked"
     if row.behind_low_deg == row.behind_high_deg == 0.0:
@@ -123,25 +126,25 @@ def evaluate(
     seed: int = 0,
     progress: Progress = lambda *_: None,
 ) -> Evaluation:
-    """Run estimators over the flights of a dataset and compare them with the truth.
+    """Run estimators on the flights of a dataset and compare them with the truth.
 
-    With a known start the estimator is given the attitude at the first sample and scored from the second on;
-    networks are never given it and have no such row. A network, known by its name or the path of its weights,
-    has beside its error that of the same network with output weights of zero. An estimator is compared with
-    the best one flight by flight. One that receives the truth, fails, or whose estimates have a flaw, is
-    listed and is not ranked.
+    With a known start, an estimator is given the attitude at the first sample and is scored from the second
+    sample on. Networks are never given an attitude and have no such row. For networks, the table also has the
+    error of the silenced network. Each estimator is compared with the best one, flight by flight. An
+    estimator that receives the truth, fails, or gives flawed estimates is listed but not ranked.
 
     Args:
         dataset: Flights with gyro, accel, quat and the attribute rate_hz.
-        estimators: Names, made for the dataset's vehicle, or estimators under the names they are to have.
-        initial: Which rows to make.
-        settle_s: Time that an estimator started in a tilt is given to recover [s].
-        slow_flights: Flights that filterpy's slow estimators are run on; None for all.
-        seed: Of the bootstrap and of the choice of those starts.
+        estimators: Names of estimators, made for the dataset's vehicle, or a mapping from names to
+            estimators.
+        initial: Kinds of start to evaluate.
+        settle_s: Time for an estimator to recover from a tilted start [s].
+        slow_flights: Number of flights for filterpy's slow estimators; None for all.
+        seed: Seed of the bootstrap and of the choice of tilted starts.
         progress: Called before every estimator.
 
     Raises:
-        ValueError: For a dataset that is not one, an unknown estimator, or where every estimator fails.
+        ValueError: The dataset is invalid, an estimator is unknown, or every estimator fails.
     """
     flights = load_flights([dataset])
     steps = min(round(settle_s * flights.rate_hz), flights.gyro.shape[1])
@@ -185,17 +188,17 @@ def evaluate(
 def assessed(
     name: str, est: AttitudeEstimator, flights: Flights, *, silence: bool = True, seed: int = 0
 ) -> tuple[Array, dict[str, Any]]:
-    """Estimates (n, T, 2) [rad] of an estimator, and its row of the table beside the errors of its sequences.
+    """Return estimates (n, T, 2) [rad] of an estimator, its row of the table, and errors by sequence.
 
     Args:
-        name: Its name, by which networks are known.
+        name: Name of the estimator.
         est: The estimator.
-        flights: What it is run on.
-        silence: Run a network with output weights of zero, too.
-        seed: Of the bootstrap.
+        flights: The flights.
+        silence: Whether to run the silenced network as well.
+        seed: Seed of the bootstrap.
 
     Raises:
-        ValueError: It does not run, or its `sequence` does not give the estimates of its `update`.
+        ValueError: The estimator fails, or its `sequence` and its `update` give different estimates.
     """
     truth = flights.truth
     estimate, taken = run_checked(est, flights.readings, flights.start, flights.quat)
@@ -210,7 +213,7 @@ def assessed(
 
 
 def errors_of(estimate: Array, truth: Array, seed: int = 0) -> dict[str, Any]:
-    """Errors and flaws of roll and pitch (n, T, 2) [rad] over samples whose truth is known, by column."""
+    """Return errors and flaws of roll and pitch (n, T, 2) [rad] over samples with known truth, by column."""
     error = attitude_error(estimate, truth)
     low, high = error.mean_interval(seed=seed)
     return {
@@ -227,22 +230,22 @@ def errors_of(estimate: Array, truth: Array, seed: int = 0) -> dict[str, Any]:
 
 
 def failed(name: str, est: AttitudeEstimator, error: ValueError) -> dict[str, Any]:
-    """The row of an estimator that did not run."""
+    """Return the row of an estimator that failed."""
     flaw = {"flaw": f"did not run: {error}", "flights": 0, "missing": 0, "without_number": 0.0}
     return {"estimator": name, "reference": receives_truth(est)} | flaw
 
 
 def tilted_starts(flights: Flights, tilt_deg: float, steps: int, seed: int = 0) -> Flights | None:
-    """Pieces of flights that begin where the vehicle is tilted by an angle, `STARTS` of each flight at most.
+    """Cut pieces of flights that begin at a given tilt, at most `STARTS` per flight.
 
     Args:
-        flights: Where to look.
-        tilt_deg: The tilt, met to 1°.
+        flights: The flights.
+        tilt_deg: The tilt at the beginning of a piece, to within 1° [deg].
         steps: Length of a piece.
-        seed: Of the choice among the places.
+        seed: Seed of the choice of pieces.
 
     Returns:
-        The pieces with an unknown start, or None if there is no such place.
+        The pieces with an unknown start, or None if no flight has this tilt.
     """
     rng = np.random.default_rng(seed)
     tilt = inclination_error(flights.truth, np.zeros_like(flights.truth))
@@ -263,12 +266,12 @@ def made_of(
     vehicle: VehicleLike = None,
     imu: ImuLike = None,
 ) -> dict[str, AttitudeEstimator]:
-    """Estimators by name, or by the path of a network's weights; the arguments are those of `create`."""
+    """Make estimators by name or path of weights; the arguments are those of `create`."""
     return {name: create(name, rate_hz, tuning=tuning, vehicle=vehicle, imu=imu) for name in names}
 
 
 def silenced_twin(name: str, rate_hz: float = 200.0) -> NetworkEstimator | None:
-    """The network of a name or of a path of weights, with output weights of zero; None for others."""
+    """Make the silenced network of a name or a path of weights; None for other estimators."""
     if name not in (*NETWORKS, *shipped_names()) and not is_weights(name):
         return None
     if is_circuit(name):
@@ -283,7 +286,7 @@ def _run(est: AttitudeEstimator, flights: Flights) -> Array:
 
 
 def _settling(est: AttitudeEstimator, pieces: Flights | None) -> Array:
-    """Median over pieces of the inclination error, averaged over each block, (blocks,) [deg]."""
+    """Return the inclination error averaged over each block, median over pieces, (blocks,) [deg]."""
     if pieces is None:
         return np.empty(0)
     error = inclination_error(_run(est, pieces), pieces.truth)
@@ -293,7 +296,7 @@ def _settling(est: AttitudeEstimator, pieces: Flights | None) -> Array:
 
 
 def _time_below(curve: Array) -> float:
-    """Time after which a curve of blocks stays below `SETTLED_DEG` [s]; NaN if it never does."""
+    """Return the time after which a curve of blocks stays below `SETTLED_DEG` [s]; NaN if it never does."""
     above = np.flatnonzero(~(curve < SETTLED_DEG))
     below = above[-1] + 1 if above.size > 0 else 0
     return float(below * BLOCK_S) if below < curve.size else float("nan")
@@ -306,7 +309,7 @@ def _behind(
     ranked: set[tuple[str, str]],
     seed: int,
 ) -> tuple[float, float, float]:
-    """Difference from the best estimator of the same start on the flights of both, with its interval."""
+    """Return the difference from the best estimator with the same start, with its interval."""
     own = sequences.get((name, start))
     rivals = [error for key, error in sequences.items() if key in ranked and key[1] == start]
     if own is None or not rivals:

@@ -1,4 +1,4 @@
-"""Figures of the offline comparison. Each function returns a matplotlib figure that the caller saves."""
+"""Figures of the offline comparison. Each function returns a matplotlib figure."""
 
 from collections.abc import Iterable
 
@@ -15,11 +15,11 @@ COLOURS = {"unknown": "#c0563b", "known": "#33658a"}
 PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
 PLAIN_FEW = FuncFormatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "235" else "")
 PANELS = 4
-"""Panels beside each other."""
+"""Number of panels in a row."""
 
 
 def violins(evaluation: Evaluation) -> Figure:
-    """Distribution over sequences of the mean absolute error, one violin an estimator and start."""
+    """Draw the distribution of the mean absolute error over sequences, one violin per estimator and start."""
     names = _shown(evaluation, (name for name, _ in evaluation.sequences))
     starts = list(dict.fromkeys(row.initial for row in evaluation.rows))
     figure = Figure(figsize=(1.5 + 0.9 * len(names), 4.2), layout="constrained")
@@ -47,9 +47,9 @@ def violins(evaluation: Evaluation) -> Figure:
 
 
 def settling(evaluation: Evaluation) -> Figure:
-    """Recovery after a start in an unknown tilt: inclination error of the median start.
+    """Draw the recovery after a start at an unknown tilt: the median inclination error over time.
 
-    One panel an estimator, with a line for each tilt; behind them, in grey, those of all others.
+    Each estimator has a panel with a line per tilt; the lines of all other estimators are grey.
     """
     names = _shown(evaluation, (name for name, _ in evaluation.settling))
     columns = min(max(len(names), 1), PANELS)
@@ -84,11 +84,11 @@ def settling(evaluation: Evaluation) -> Figure:
 
 
 def _blocks(curve: Array) -> Array:
-    """Middles of the blocks that a curve has a value for [s]."""
+    """Return the centre times of the blocks of a curve [s]."""
     return BLOCK_S * np.arange(0.5, curve.size)
 
 
 def _shown(evaluation: Evaluation, names: Iterable[str]) -> list[str]:
-    """Each name once, without references, whose error of nothing has no place on a logarithmic axis."""
+    """Return each name once, without references, whose zero error cannot be drawn on a logarithmic axis."""
     references = set(evaluation.table.estimator[evaluation.table.reference])
     return [name for name in dict.fromkeys(names) if name not in references]

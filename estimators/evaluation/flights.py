@@ -1,4 +1,4 @@
-"""Recorded flights as the arrays that estimators are run on and scored against."""
+"""Recorded flights as arrays for running and scoring estimators."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -21,38 +21,38 @@ Initial = Literal["unknown", "known"]
 
 @dataclass(frozen=True)
 class Flights:
-    """n flights of one length and sample rate."""
+    """A batch of n flights with equal length and sample rate."""
 
     readings: Readings
-    """(n, T, ·)."""
+    """Readings (n, T, ·)."""
     quat: Array
     """True quat_WB (n, T, 4)."""
     truth: Array
-    """True roll and pitch (n, T, 2) [rad]; what is NaN is not scored."""
+    """True roll and pitch (n, T, 2) [rad]; NaN is not scored."""
     rate_hz: float
     start: Array | None = None
-    """Roll and pitch one sample before the first, (n, 2) [rad], or None where it is not known."""
+    """Roll and pitch one sample before the first, (n, 2) [rad]; None if they are not known."""
 
     @property
     def gyro(self) -> Array:
-        """(n, T, 3) [rad/s]."""
+        """Body rate (n, T, 3) [rad/s]."""
         return self.readings.gyro
 
     @property
     def accel(self) -> Array:
-        """(n, T, 3) [m/s²]."""
+        """Specific force (n, T, 3) [m/s²]."""
         return self.readings.accel
 
     def map(self, change: Callable[[Array], Array], start: Array | None = None) -> "Flights":
-        """The flights with readings and truth changed alike, and another start."""
+        """Apply a function to readings and truth, and set another start."""
         return Flights(self.readings.map(change), change(self.quat), change(self.truth), self.rate_hz, start)
 
     def known(self) -> "Flights":
-        """The flights from the second sample on, started at the true attitude of the first."""
+        """Return the flights from the second sample on, with a known start: the truth at the first sample."""
         return self.map(lambda each: np.ascontiguousarray(each[:, 1:]), self.truth[:, 0])
 
     def pieces(self, count: int) -> "Flights":
-        """Every flight cut into `count` pieces of one length: all but the first in motion."""
+        """Cut every flight into `count` pieces of equal length. All pieces but the first begin in motion."""
         steps = self.gyro.shape[1] // count
         if steps < 1:
             raise ValueError(f"pieces: {count} of flights of {self.gyro.shape[1]} samples")
@@ -60,10 +60,10 @@ class Flights:
 
 
 def load_flights(datasets: Sequence[xr.Dataset], count: int | None = None) -> Flights:
-    """The first `count` flights of each dataset, or all, in double precision and with an unknown start.
+    """Load the first `count` flights of each dataset, or all, in double precision and with an unknown start.
 
     Raises:
-        ValueError: If a dataset is not one of flights, or they differ in length or sample rate.
+        ValueError: A dataset has no flights, or datasets differ in length or sample rate.
     """
     parts = [_flights(dataset.isel(flight=slice(count))) for dataset in datasets]
     shapes = {(part.gyro.shape[1], part.rate_hz) for part in parts}
@@ -80,13 +80,13 @@ def load_flights(datasets: Sequence[xr.Dataset], count: int | None = None) -> Fl
 
 
 def vehicle_of(dataset: xr.Dataset) -> Vehicle | None:
-    """The airframe that flew a dataset, as its recipe has it; None where the dataset does not say."""
+    """Return the airframe in the recipe of a dataset; None if it is not known."""
     config = _config(dataset)
     return Vehicle.model_validate(config["vehicle"]) if "vehicle" in config else None
 
 
 def imu_of(dataset: xr.Dataset) -> ImuSpec | None:
-    """The IMU of a dataset; None where the dataset does not say, or it was recorded."""
+    """Return the IMU in the recipe of a dataset; None if it is not known or the flights were recorded."""
     config = _config(dataset)
     return ImuSpec.model_validate(config["imu"]) if "vehicle" in config and "imu" in config else None
 
@@ -96,7 +96,7 @@ def _config(dataset: xr.Dataset) -> dict[str, Any]:
 
 
 def _flights(dataset: xr.Dataset) -> Flights:
-    """All flights of a dataset; the truth is NaN after the flight ended."""
+    """Return all flights of a dataset; the truth is NaN after the end of a flight."""
     missing = [name for name in ("gyro", "accel", "quat") if name not in dataset]
     if "rate_hz" not in dataset.attrs:
         missing.append("rate_hz (an attribute)")

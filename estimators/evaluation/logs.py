@@ -1,7 +1,8 @@
-"""Estimators on recorded logs: errors as benchmarks of inertial sensors count them, beside a level guess.
+"""Evaluation of estimators on recorded logs: inclination errors, compared with a level guess.
 
-Inclination error, as a root mean square over the samples that count: the attitude and the readings are known,
-the log marks the sample (`scored`), the first seconds are over, and the vehicle is tilted less than a limit.
+The score is the RMS inclination error over samples that meet these conditions: attitude and readings are
+known, the log marks the sample (`scored`), the first seconds have passed, and the inclination is below a
+limit.
 """
 
 import logging
@@ -30,52 +31,52 @@ Array = NDArray[np.float64]
 logger = logging.getLogger(__name__)
 
 RAW, KNOWN, SILENCED = KINDS = "raw", "known", "silenced"
-"""The gyroscope as recorded, with its mean bias over the log subtracted where it is significant, and as
-recorded for a network with output weights of zero."""
+"""Kinds of error: with the gyroscope as recorded, with its significant mean bias subtracted, and of the
+silenced network with the gyroscope as recorded."""
 OF_DATASETS = ("median", "sd", "mean_low", "mean_high", "behind", "settle", "unranked", "tied")
-"""How columns begin that compare flights of a dataset, which a log has none of."""
+"""Prefixes of the columns that compare the flights of a dataset; they do not apply to logs."""
 NO_ATTITUDE = "it has no attitude"
-"""Why a log is compared in place of scored."""
+"""Reason why a log is compared instead of scored."""
 SKIP_S = 3.0
 """Time at the start that is not scored [s]."""
 
 
 @dataclass
 class ScoredLog:
-    """One log, and estimators on it with the gyroscope as recorded."""
+    """One log with the estimates from the gyroscope as recorded."""
 
     flights: Flights
-    """The log as one flight; its truth is NaN where it does not count."""
+    """The log as one flight; the truth is NaN for samples that are not scored."""
     truth: Array
     """True roll and pitch (T, 2) [rad]."""
     counted: NDArray[np.bool_]
-    """Samples that count (T,)."""
+    """Scored samples (T,)."""
     faults: tuple[SensorFault, ...]
-    """Faults of its sensors that begin inside it."""
+    """Sensor faults that begin during the log."""
     unscorable: str = ""
-    """Why nothing of it can be scored; empty where something can."""
+    """Why no sample can be scored; empty if some can."""
     estimates: dict[str, Array] = field(default_factory=dict)
-    """Estimator to roll and pitch (T, 2) [rad]."""
+    """Roll and pitch (T, 2) [rad] by estimator."""
     beliefs: dict[str, Beliefs] = field(default_factory=dict)
-    """Estimator that has models to what it believed of them."""
+    """Model probabilities of estimators that have models."""
     comparison: Comparison | None = None
-    """How estimators differ on a log without a true attitude, which has no rows in the table."""
+    """Comparison of estimators on a log without a true attitude, which has no rows in the table."""
 
     @cached_property
     def bias(self) -> GyroBias | None:
-        """Mean bias of its gyroscope; None for a log without a true attitude."""
+        """Mean bias of the gyroscope; None for a log without a true attitude."""
         if self.unscorable:
             return None
         return bias_by_truth(self.flights.gyro[0], self.flights.quat[0], self.flights.rate_hz)
 
     @property
     def counted_s(self) -> float:
-        """Length of what counts [s]."""
+        """Total duration of the scored samples [s]."""
         return int(self.counted.sum()) / self.flights.rate_hz
 
     @property
     def bias_text(self) -> str:
-        """The bias of its gyroscope with its 95 % interval, and what of it is removed."""
+        """The gyroscope bias with its 95 % interval, and the part that is removed."""
         if self.bias is None:
             return "no true attitude"
         if not np.isfinite(self.bias.mean).all():
@@ -86,31 +87,31 @@ class ScoredLog:
         return f"gyro bias ({shown.replace('-', '−')}) °/s at 95 %: {removed}"
 
     def squares(self, name: str) -> Array:
-        """Mean squared inclination error in each block of 10 s in which samples count, (blocks,) [deg²]."""
+        """Return the mean squared inclination error of each scored block of 10 s, (blocks,) [deg²]."""
         squares = inclination_error(self.estimates[name], self.flights.truth[0]) ** 2
         width = round(LOW_PASS_S * self.flights.rate_hz)
         blocks = [squares[k : k + width] for k in range(0, len(squares), width)]
         return np.array([float(np.nanmean(block)) for block in blocks if np.isfinite(block).any()])
 
     def interval(self, name: str) -> Coverage:
-        """How honest the interval of an estimator with beliefs is where the truth counts."""
+        """Return the coverage of an estimator's interval over scored samples."""
         return self.beliefs[name].interval(self.truth[None], self.counted[None])
 
 
 @dataclass
 class LogScores(Evaluation):
-    """Estimators on all logs; the table has a row for each log, estimator and kind of bias."""
+    """Scores on all logs. The table has a row for each log, estimator and kind of bias."""
 
     logs: dict[str, ScoredLog] = field(default_factory=dict)
     tuning: str = ""
-    """Which parameters the filters have, in a sentence."""
+    """Description of the parameters of the filters, in a sentence."""
 
     def mean(self, estimator: str, kind: str) -> float:
-        """Mean over the logs of the headline of the inclination RMSE [deg]; NaN where there is none."""
+        """Return the mean inclination RMSE over the logs of the headline [deg]; NaN if there is none."""
         return self.on_logs(kind)[self.headline].mean(axis=1).to_dict().get(estimator, np.nan)
 
     def on_logs(self, kind: str = RAW) -> pd.DataFrame:
-        """Inclination RMSE of estimators by log [deg]: one of `KINDS`."""
+        """Return the inclination RMSE of estimators by log, for one of `KINDS` [deg]."""
         column = "silenced_inclination_deg" if kind == SILENCED else "inclination_rmse_deg"
         chosen = self.table.loc[self.table.bias == (KNOWN if kind == KNOWN else RAW)]
         return chosen.pivot(index="estimator", columns="log", values=column)
@@ -122,22 +123,22 @@ class LogScores(Evaluation):
 
     @property
     def compared(self) -> dict[str, Comparison]:
-        """Logs without a true attitude, and how estimators differ on them."""
+        """Logs without a true attitude, and the comparison of estimators on them."""
         return {name: log.comparison for name, log in self.logs.items() if log.comparison is not None}
 
     @property
     def faulty(self) -> list[str]:
-        """Logs with a true attitude in which a fault of a sensor begins."""
+        """Logs with a true attitude during which a sensor fault begins."""
         return [name for name in self.scored if self.logs[name].faults]
 
     @property
     def headline(self) -> list[str]:
-        """Logs that means are over: those without a fault, or all where each has one."""
+        """Logs over which means are computed: those without a fault, or all if every log has one."""
         return [name for name in self.scored if not self.logs[name].faults] or self.scored
 
     @cached_property
     def estimators(self) -> list[str]:
-        """Estimators, the smallest raw error (without truth: force) first; those not ranked come last."""
+        """Estimators in order of raw errors, or of forces without truth; unranked ones come last."""
         ran = [*self.table.estimator, *(name for log in self.logs.values() for name in log.estimates)]
         force = {name: sum(each.force.get(name, np.inf) for each in self.compared.values()) for name in ran}
         error = {name: np.nan_to_num(self.mean(name, RAW), nan=np.inf) for name in ran}
@@ -150,9 +151,9 @@ class LogScores(Evaluation):
 
     @property
     def tied(self) -> list[str] | None:
-        """Ranked estimators whose squared error is not significantly larger than that of the best.
+        """Ranked estimators that are tied with the best; None if there are fewer than four blocks.
 
-        Blocks of 10 s are compared in pairs; None if there are fewer than four.
+        Squared errors are compared over blocks of 10 s, in pairs.
         """
         best, *others = self.ranked
         squares = {name: self._squares(name) for name in self.ranked}
@@ -165,7 +166,7 @@ class LogScores(Evaluation):
 
     @cached_property
     def unranked(self) -> dict[str, str]:
-        """Estimators that are not ranked, and why: a reference, or the first flaw found on any log."""
+        """Estimators that are not ranked, with the reason: a reference, or the first flaw on any log."""
         raw = self.table[(self.table.bias == RAW) & (self.table.flaw != "")]
         flaws = dict(zip(raw.estimator[::-1], raw.flaw[::-1], strict=True))
         flaws |= {name: flaw for found in self.compared.values() for name, flaw in found.flaws.items()}
@@ -180,21 +181,22 @@ def score_logs(
     skip_s: float = SKIP_S,
     progress: Progress = lambda *_: None,
 ) -> LogScores:
-    """Run estimators over logs, each from an unknown attitude, with the raw gyroscope and without its bias.
+    """Score estimators on logs from an unknown start, with the raw gyroscope and with its bias removed.
 
-    Of the bias is removed what differs significantly from zero. Of a log without a true attitude estimators
-    are compared with each other and with its forces.
+    Only the part of the bias that differs significantly from zero is removed. On a log without a true
+    attitude, estimators are compared with each other and with the specific force.
 
     Args:
-        logs: From `quadsim.logs.read_log`.
-        estimators: Names, or estimators under the names they are to have; none: `default_names`.
+        logs: Logs from `quadsim.logs.read_log`.
+        estimators: Names of estimators, or a mapping from names to estimators; by default, `default_names`.
         within_deg: Largest true inclination that is scored [deg].
         skip_s: Time at the start that is not scored [s].
         progress: Called before every estimator on every log.
 
     Raises:
-        ValueError: Unknown estimators, two logs of one name, or a log of which nothing can be scored; before
-            anything is run. Where every estimator fails on every log, or on one without a true attitude.
+        ValueError: Before running: an estimator is unknown, two logs have the same name, or a log has no
+            sample to score. After running: every estimator failed on every log, or on a log without a true
+            attitude.
     """
     scores = LogScores(logs={str(log.attrs["source"]): prepared(log, within_deg, skip_s) for log in logs})
     if len(scores.logs) < len(logs):
@@ -236,10 +238,10 @@ def score_logs(
 
 
 def prepared(log: xr.Dataset, within_deg: float = 45.0, skip_s: float = SKIP_S) -> ScoredLog:
-    """A log before anything is run; without an attitude the gyroscope's turns stand in for the truth.
+    """Prepare a log for scoring. Without an attitude, rotations of the gyroscope replace the truth.
 
     Args:
-        log: From `quadsim.logs.read_log`.
+        log: Log from `quadsim.logs.read_log`.
         within_deg: Largest true inclination that is scored [deg].
         skip_s: Time at the start that is not scored [s].
     """
@@ -267,7 +269,7 @@ def prepared(log: xr.Dataset, within_deg: float = 45.0, skip_s: float = SKIP_S) 
 
 
 def default_names(vehicle_known: bool = False) -> list[str]:
-    """Estimators scored unless others are asked for: not filterpy's, ekf-drag only with a known vehicle."""
+    """Return the default estimators: all but filterpy's, and ekf-drag only with a known vehicle."""
     return [
         name
         for name in names()
@@ -276,7 +278,7 @@ def default_names(vehicle_known: bool = False) -> list[str]:
 
 
 def _rows(name: str, est: AttitudeEstimator, log: ScoredLog) -> list[dict[str, Any]]:
-    """Run an estimator on a log; the estimate by the raw gyroscope, and its beliefs, go to the log."""
+    """Run an estimator on a log; return its rows, and store estimate and model probabilities in the log."""
     flights, rows, offsets = log.flights, [], {RAW: np.zeros(3)}
     if log.bias is None and receives_truth(est):
         refused = ValueError("the log has no true attitude")

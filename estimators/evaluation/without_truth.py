@@ -1,4 +1,4 @@
-"""Estimators on a log without a true attitude: how far they differ, and which of them the forces favour."""
+"""Comparison of estimators on a log without a true attitude, with each other and the specific force."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -22,44 +22,45 @@ from ..metrics import inclination_error
 Array = NDArray[np.float64]
 
 LOW_PASS_S = 10.0
-"""Means of the horizontal force are over this time [s]: the acceleration of a vehicle that changes its speed
-by 2 m/s in it leaves 0.2 m/s², an attitude that is wrong by 1.2° as much."""
+"""Averaging time of the horizontal force [s]. A change of speed by 2 m/s within this time gives 0.2 m/s², the
+same as an attitude error of 1.2°."""
 LEVEL = "level"
-"""The row of a guess that never looks at the sensor: how far the log is from level."""
+"""Name of the level guess, which shows how far the log is from level."""
 FEWEST = 4
-"""Means that do not overlap, at least, for the evidence to favour an estimator."""
+"""Smallest number of non-overlapping means for which an estimator can be favoured."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Estimators on one log without a true attitude."""
+    """Comparison of estimators on one log without a true attitude."""
 
     apart: Mapping[tuple[str, str], tuple[float, float]]
-    """Two estimators to the median and the 95th percentile of their inclination difference [deg]."""
+    """Median and 95th percentile of the inclination difference of two estimators, by their names [deg]."""
     force: Mapping[str, float]
-    """Root mean square of the horizontal specific force in the world by each estimate, low-passed [m/s²]:
-    near zero for a right one."""
+    """RMS of the low-passed horizontal specific force in world axes, by estimator [m/s²]; near zero for a
+    correct attitude."""
     level_force: float
-    """The same of a level guess [m/s²]."""
+    """The RMS horizontal force of a level guess [m/s²]."""
     favoured: tuple[str, ...]
-    """Estimators whose force is not significantly larger than the smallest; empty where that is no choice."""
+    """Estimators whose force is not significantly larger than the smallest; empty if the log does not
+    decide."""
     undecided: str
-    """Why there is none; "" if there is."""
+    """Why no estimator is favoured; empty if one is."""
     flaws: Mapping[str, str]
-    """Estimators that are left out, and why."""
+    """Estimators that are left out, with the reason."""
 
 
 def compare(
     estimates: Mapping[str, Array], gyro: Array, accel: Array, rate_hz: float, flaws: Mapping[str, str]
 ) -> Comparison:
-    """Compare estimates of a log with each other and with its forces.
+    """Compare estimates of a log with each other and with the specific force.
 
     Args:
-        estimates: Name to roll and pitch (T, 2) [rad], finite.
-        gyro: (T, 3) [rad/s]; NaN where missing.
+        estimates: Finite roll and pitch (T, 2) [rad] by estimator.
+        gyro: Body rate (T, 3) [rad/s]; NaN where missing.
         accel: Specific force (T, 3) [m/s²]; NaN where missing.
         rate_hz: Samples per second.
-        flaws: Estimators that have no such estimate, and why.
+        flaws: Estimators without valid estimates, with the reason.
     """
     apart = {}
     for first, second in combinations(estimates, 2):
@@ -79,20 +80,20 @@ def compare(
 
 
 def motion(gyro: Array, rate_hz: float) -> Array:
-    """How far the gyroscope says that its x and y axes turned, without its mean rate, (T, 2) [rad]."""
+    """Integrate the gyroscope about its x and y axes, without its mean rate, (T, 2) [rad]."""
     rate = np.nan_to_num(gyro[:, :2])
     return np.cumsum(rate - rate.mean(axis=0), axis=0) / rate_hz
 
 
 def horizontal_force(estimate: Array, gyro: Array, accel: Array, rate_hz: float) -> Array:
-    """Horizontal specific force in a world whose heading the gyroscope keeps, (T, 2) [m/s²].
+    """Return the horizontal specific force in world axes with a heading from the gyroscope, (T, 2) [m/s²].
 
-    Roll and pitch are the estimate's. The heading turns by the twist about the vertical that is left of the
-    gyroscope's turn, so that the force of a vehicle in a turn does not add up. Missing samples count as zero.
+    Roll and pitch are those of the estimate. The heading follows the gyroscope's rotation about the vertical,
+    so that the force in a turn averages out. Missing samples count as zero.
 
     Args:
         estimate: Roll and pitch (T, 2) [rad].
-        gyro: (T, 3) [rad/s].
+        gyro: Body rate (T, 3) [rad/s].
         accel: Specific force (T, 3) [m/s²].
         rate_hz: Samples per second.
     """
@@ -105,15 +106,15 @@ def horizontal_force(estimate: Array, gyro: Array, accel: Array, rate_hz: float)
 
 
 def is_larger(values: Array, others: Array) -> bool:
-    """Whether the mean of values is significantly larger than that of others (paired, 95 %)."""
+    """Return whether the mean of values is significantly larger than that of others (paired, 95 %)."""
     more = values - others
     return bool(more.mean() > student.ppf(0.95, len(more) - 1) * more.std(ddof=1) / np.sqrt(len(more)))
 
 
 def _favoured(blocks: Mapping[str, Array], force: Mapping[str, float]) -> tuple[tuple[str, ...], str]:
-    """The estimator of the smallest force and all that do not differ significantly from it, or none and why.
+    """Return the estimators that are tied for the smallest force, or none and the reason.
 
-    Paired, 95 %, from the squares of its mean forces by estimator [m²/s⁴], `LEVEL` among them.
+    The test is paired, at 95 %, on the squared mean forces by estimator [m²/s⁴], including `LEVEL`.
     """
     best = min(force, key=lambda name: force[name])
     if len(blocks[best]) < FEWEST:

@@ -1,1 +1,1 @@
-"""Export: a weights file goes in; C99, a NIR graph or an ONNX graph comes out."""
+"""Export of weights as C99, NIR graphs or ONNX graphs."""

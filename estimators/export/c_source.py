@@ -1,6 +1,6 @@
-"""Spiking networks as C99 for a microcontroller: header and source, the emulator's numbers to the last bit.
+"""Spiking networks as C99 for microcontrollers, bit-identical to the emulated chip.
 
-Estimators and controllers are the same code.
+Estimators and controllers use the same code.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from ..sanitise import RATE_STEP
 Ints = NDArray[np.int64]
 
 ESTIMATOR, CONTROLLER = "att_snn", "snn_control"
-"""Names of the files, and what the names in them begin with."""
+"""Names of the files, and prefixes of the C identifiers."""
 WORDS = {
     "roll-pitch": {
         "title": "Att-SNN, a spiking network that estimates roll and pitch from an IMU",
@@ -52,20 +52,20 @@ WORDS = {
         "quantity": "an angular acceleration in rad/s^2",
     },
 }
-"""What the templates call the outputs."""
+"""Names of the outputs in the templates."""
 SECTION = re.compile(r"#if (\w+)\n(.*?)#endif\n", re.DOTALL)
-"""Parts of the templates that not every network has."""
+"""Marks of optional parts of the templates."""
 BLOCK, BIASED = 16, 128
-"""Hidden neurons that the C code sums up together, and what is added to their weights."""
+"""Number of hidden neurons that the C code sums together, and the offset of their weights."""
 BYTES = (0, 2, 1, 3)
-"""Neurons of four whose weights are a word, from the lowest byte on."""
+"""Order of the four neurons whose weights share a word, from the lowest byte on."""
 
 
 def write_c(folder: str | Path, config: NetworkConfig, tensors: Tensors) -> None:
-    """Write `att_snn.h` and `.c`, of a controller `snn_control.h` and `.c`, into a folder.
+    """Write `att_snn.h` and `.c`, or `snn_control.h` and `.c` for a controller, to a folder.
 
     Raises:
-        ValueError: Not a spiking network for the chip.
+        ValueError: The network is not a spiking network for the chip.
     """
     if not config.quantised or config.recurrent_delay != 1:
         raise ValueError("C99 needs quantised weights of att-snn with a recurrent delay of 1")
@@ -91,7 +91,7 @@ def write_c(folder: str | Path, config: NetworkConfig, tensors: Tensors) -> None
 
 
 def encoder_values(scaling: Scaling) -> dict[str, object]:
-    """What the templates say of the encoding of readings."""
+    """Return the template values for the encoding of readings."""
     return {
         "input_max": INPUT_MAX,
         "rate_max": RATE_MAX,
@@ -110,14 +110,14 @@ def write_sources(
     pattern: re.Pattern[str],
     part: Callable[[re.Match[str]], str],
 ) -> None:
-    """Write header and source from templates, with `part` of what matches in its place."""
+    """Write header and source from templates; `part` replaces each marked place."""
     for end in ("h", "c"):
         text = pattern.sub(part, (ASSETS / "c99" / f"{template}.{end}").read_text(encoding="utf-8"))
         write_whole(Path(folder) / f"{values['n']}.{end}", Template(text).substitute(values))
 
 
 def _set_points(config: NetworkConfig) -> dict[str, str | float]:
-    """What a controller does with its set-points and outputs; nothing of an estimator."""
+    """Return the template values for set-points and outputs of a controller; none for an estimator."""
     scaling = config.set_point
     if scaling is None:
         return {}
@@ -134,7 +134,7 @@ def _set_points(config: NetworkConfig) -> dict[str, str | float]:
 
 
 def _integers(tensors: Tensors) -> dict[str, str]:
-    """Weights and decays as the C code reads them."""
+    """Return weights and decays in the layout of the C code."""
     integers = {name: value.astype(np.int64) for name, value in complete(tensors).items()}
     found = {name: PARAMETERS[name].kind.in_c(value) for name, value in integers.items()}
     encoding, hidden, outputs = (of_layer(found, layer) for layer in ("encoding", "hidden", "outputs"))
@@ -150,7 +150,7 @@ def _integers(tensors: Tensors) -> dict[str, str]:
 
 
 def _blocks(weights: Ints) -> tuple[Ints, Ints]:
-    """Words of four weights, and each block's first source, the one after its last, and row of source 0."""
+    """Return words of four weights, and each block's first source, end, and row of source 0."""
     sources, count = weights.shape[1], 0
     rows, ranges = [], []
     for block in _padded(weights, BLOCK).reshape(-1, BLOCK, sources):
@@ -165,18 +165,18 @@ def _blocks(weights: Ints) -> tuple[Ints, Ints]:
 
 
 def _pairs(weights: Ints) -> Ints:
-    """Two numbers of 16 bits to a word, (rows, ceil(columns / 2))."""
+    """Pack two 16-bit numbers per word, (rows, ceil(columns / 2))."""
     twos = _padded(weights.T, 2).T.reshape(len(weights), -1, 2) & 0xFFFF
     return twos[..., 0] | twos[..., 1] << 16
 
 
 def _padded(values: Ints, size: int) -> Ints:
-    """Rows of zeros added up to a multiple of `size`."""
+    """Append rows of zeros up to a multiple of `size`."""
     return np.concatenate([values, np.zeros((-len(values) % size, *values.shape[1:]), np.int64)])
 
 
 def braces(values: NDArray, hexadecimal: bool = False) -> str:
-    """An initialiser; numbers as C and Python both read them."""
+    """Return a C initialiser."""
     if values.ndim > 1:
         return "{\n" + ",\n".join(braces(row, hexadecimal) for row in values) + "}"
     return "{" + ", ".join(f"0x{x:08x}" if hexadecimal else repr(x) for x in values.tolist()) + "}"

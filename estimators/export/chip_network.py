@@ -1,10 +1,10 @@
-"""A chain of layers from floats to the chip's integers.
+"""Conversion of a chain of layers from floats to the chip's integers.
 
-A layer has one scale, the state units of 1.0: the largest at which weights, thresholds and biases fit, and
-sums, currents and potentials have `MARGIN` to spare over those of a run in floats.
+A layer has one scale, the number of state units of 1.0. It is the largest scale at which weights, thresholds
+and biases fit, and at which sums, currents and potentials of a run in floats leave a margin of `MARGIN`.
 
-Inputs that are not spikes are encoded as Att-SNN's are (`estimators.networks.forward.advance`): the host has
-the currents of the first layer, which reach its neurons as biases.
+Inputs that are not spikes are encoded as in Att-SNN (`estimators.networks.forward.advance`): the host
+computes the currents of the first layer, which reach the neurons as biases.
 """
 
 from __future__ import annotations
@@ -26,14 +26,15 @@ Ints = NDArray[np.int64]
 SUM_MAX = (1 << 21) - 1
 """Largest sum of the weights that arrive in a step [state units]."""
 MARGIN = 4.0
-"""Room above what a run in floats reaches: other inputs may reach more, and a sum that overflows wraps."""
+"""Margin above the peaks of a run in floats, because other inputs may exceed them and sums wrap on
+overflow."""
 
 DRIVE_MAX = BIAS_MANT_MAX << BIAS_EXP
-"""Largest bias by which the host drives a neuron [state units]; larger ones are clipped."""
+"""Largest bias with which the host drives a neuron [state units]; larger ones are clipped."""
 
 
 class Peaks(NamedTuple):
-    """Largest sizes in a run of a layer in floats."""
+    """Largest magnitudes in a run of a layer in floats."""
 
     arriving: float  #: of what enters the current in a step
     u: float  #: of the current
@@ -41,13 +42,13 @@ class Peaks(NamedTuple):
 
 
 class ChipNetwork(NamedTuple):
-    """Layers in a chain for `LoihiNetwork`."""
+    """A chain of layers for `LoihiNetwork`."""
 
     layers: list[LoihiLayer]
     ones: list[float]
     """State units of 1.0 in each layer."""
     encoders: Ints | None
-    """Of encoded inputs: weights of each input and, in the last row, of a constant 1, (inputs + 1, out), in
+    """For encoded inputs, weights of each input and, in the last row, of a constant 1, (inputs + 1, out), in
     steps of 64 state units."""
 
 
@@ -58,12 +59,12 @@ def quantise(
 
     Args:
         layers: From the input to the output.
-        peaks: Of each layer.
-        drive: Largest current of encoded inputs; None: the inputs are spikes.
-        one: State units of 1.0 in every layer; None: chosen for each.
+        peaks: Peaks of each layer.
+        drive: Largest current of encoded inputs; None if the inputs are spikes.
+        one: State units of 1.0 in every layer; None chooses a scale for each layer.
 
     Raises:
-        ValueError: The given scale does not suit a layer.
+        ValueError: The given scale does not fit a layer.
     """
     whole, ones, encoders = [], [], None
     for layer, peak in zip(layers, peaks, strict=True):
@@ -94,7 +95,7 @@ def quantise(
 
 
 def _one(layer: FloatLayer, peak: Peaks, bias: Array, drive: float | None) -> float:
-    """The scale of a layer."""
+    """Return the scale of a layer."""
     largest_in = np.abs(layer.w_in).max()
     bounds = [
         (STATE_MAX, MARGIN * max(peak.u, peak.v)),
@@ -110,13 +111,13 @@ def _one(layer: FloatLayer, peak: Peaks, bias: Array, drive: float | None) -> fl
 
 
 def mantissas(weights: Array) -> tuple[Ints, Ints]:
-    """Even mantissas and the exponent of each row, for weights in steps of a mantissa with exponent 0."""
+    """Return even mantissas and the exponent of each row, for weights in steps of 2^0."""
     exponents = _exponents(np.abs(weights).max(1), WEIGHT_MAX, WEIGHT_EXP_MIN, 0)
     whole = 2 * np.rint(weights * np.exp2(-exponents - 1.0)[:, None])
     return np.clip(whole, WEIGHT_MIN, WEIGHT_MAX).astype(np.int64), exponents
 
 
 def _exponents(sizes: Array, largest: int, low: int, high: int) -> Ints:
-    """The least exponents with which mantissas up to the largest hold numbers."""
+    """Return the smallest exponents with which mantissas can represent the numbers."""
     least = np.ceil(np.log2(np.maximum(np.abs(sizes), 1e-9) / largest))
     return np.clip(least, low, high).astype(np.int64)

@@ -1,6 +1,6 @@
-"""The spiking circuit as C99 for a microcontroller: header and source, the chip's numbers to the last bit.
+"""The spiking circuit as C99 for microcontrollers, bit-identical to the emulated chip.
 
-Both are used as the export of a network of layers is, whose encoding of readings they share.
+The C interface and the encoding of readings are those of a network of layers.
 """
 
 from __future__ import annotations
@@ -24,25 +24,26 @@ from .c_source import ESTIMATOR, braces, encoder_values, write_sources
 Ints = NDArray[np.integer]
 
 DIRECTIONS = [0, 2]
-"""Of the body's axes, one horizontal and the vertical one: weights of x and y are the same."""
+"""Body axes whose weights are stored: a horizontal and the vertical one, because x and y have equal
+weights."""
 HEARD = np.array([2, 1, 2, 1, 3])
-"""Most spikes of each kind that a gate hears in a step."""
+"""Largest number of spikes of each kind that a gate receives in a step."""
 
 PART = re.compile(r"^#part (\w+)\n", re.MULTILINE)
-"""A line of the template in whose place a part of the networks' template stands."""
+"""Line of the template that is replaced by a part of the networks' template."""
 PARTS = {
     "decay": ("/* Negative numbers are shifted", "/* Two's complement"),
     "readings": ("/* Size of a number", "void ${n}_reset"),
     "encode": ("void ${n}_encode", "static void step_outputs"),
 }
-"""Beginnings of the parts, and of what follows them."""
+"""First lines of these parts, and of the code after each."""
 
 
 def write_circuit_c(folder: str | Path, config: CircuitConfig, p: Parameters) -> None:
-    """Write `att_snn.h` and `.c` into a folder.
+    """Write `att_snn.h` and `.c` to a folder.
 
     Raises:
-        ValueError: Numbers that 24 bits cannot hold, or sums that 32 bits cannot.
+        ValueError: A number does not fit in 24 bits, or a sum does not fit in 32 bits.
     """
     circuit = quantised(p, config.steps_per_sample)
     _check(circuit)
@@ -74,11 +75,11 @@ COPIED = (
     "ONE_BITS", "BIAS_BITS", "INNOVATION_BITS", "FELT_BITS", "ANGLE_MAX", "LATER", "BIAS_UNITS", "TURN_BITS",
     "LEAD",
 )  # fmt: skip
-"""Constants of all circuits that the templates name as the code does."""
+"""Constants of all circuits with the same names in templates and code."""
 
 
 def _constants() -> dict[str, int | str]:
-    """What all circuits have in common."""
+    """Return the template values that all circuits have in common."""
     return {name.lower(): getattr(records, name) for name in COPIED} | {
         "angle_bits": records.ANGLE_UNITS.bit_length() - 1,
         "force_bits": records.FORCE_UNITS.bit_length() - 1,
@@ -89,7 +90,7 @@ def _constants() -> dict[str, int | str]:
 
 
 def _integers(circuit: records.Circuit) -> dict[str, int | str]:
-    """Weights, decays and initial values as the C code reads them."""
+    """Return weights, decays and initial values in the layout of the C code."""
     level, onset, decays, smooth, resume = circuit.levels.astype(np.int64)
     felt, force, turn, vector, still = circuit.sense.tolist()
     found: dict[str, int | str] = {
@@ -115,7 +116,7 @@ def _integers(circuit: records.Circuit) -> dict[str, int | str]:
 
 
 def _words(weights: Ints) -> tuple[Ints, Ints]:
-    """Words of weights other than 0, (directions, sources, targets), and each source's bounds."""
+    """Return words of non-zero weights, (directions, sources, targets), and the bounds of each source."""
     directions, sources, _ = weights.shape
     targets = np.nonzero(weights)[2]
     ends = np.cumsum(np.count_nonzero(weights, axis=2)).reshape(directions, sources)
@@ -125,10 +126,10 @@ def _words(weights: Ints) -> tuple[Ints, Ints]:
 
 
 def _check(circuit: records.Circuit) -> None:
-    """No number of the circuit is too large for the C code, whatever the readings.
+    """Check that no number of the circuit is too large for the C code, for any readings.
 
     Raises:
-        ValueError: One is.
+        ValueError: A number is too large.
     """
     c = records.Circuit(*(np.abs(part.astype(np.int64)) for part in circuit))
     decays = np.concatenate([circuit.levels[2:4].ravel(), circuit.sense[:1]])

@@ -1,4 +1,4 @@
-"""Trained networks in the formats of other tools: NIR, C99, ONNX; circuits in C99."""
+"""Export of networks as NIR, C99 or ONNX, and of circuits as C99."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from ..networks.weights_file import NetworkConfig, load_network
 
 FORMATS = ("nir", "c99", "onnx")
 HOLD = {"att-snn": ("nir", "c99"), "att-rnn": ("onnx",), "a circuit": ("c99",)}
-"""Formats that can hold a network of a model; NIR and ONNX cannot hold the products of a circuit."""
+"""Formats for each model; NIR and ONNX cannot represent the products of a circuit."""
 
 
 def export_weights(weights: str | Path, out: str | Path, format: str) -> Path:
     """Write a network in another format.
 
     Args:
-        weights: A file of weights or of a circuit, or the name of one that ships, such as "att-snn".
-        out: The file (nir, onnx) or folder (c99) to write; must not exist.
+        weights: A file of weights or of a circuit, or a shipped name, such as "att-snn".
+        out: The file (nir, onnx) or folder (c99) to write. It must not exist.
         format: "nir" (spiking, HDF5; runs in Norse and snnTorch), "c99" (spiking, header and source) or
             "onnx" (att-rnn).
 
     Raises:
-        FileNotFoundError: No such weights.
-        ValueError: An unknown format, one that cannot hold this network, or `out` exists.
+        FileNotFoundError: The weights do not exist.
+        ValueError: The format is unknown or cannot represent the network, or `out` exists.
     """
     circuit = is_circuit(weights)
     config, values = load_circuit(weights) if circuit else load_network(weights)

@@ -1,4 +1,4 @@
-"""A chain of layers as C99: header, source and main program, the emulator's numbers to the last bit."""
+"""A chain of layers as C99: header, source and main program, bit-identical to the emulated chip."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from .c_source import braces
 from .chip_network import ChipNetwork
 
 FILES = {"layers.h": "network.h", "layers.c": "network.c", "layers_main.c": "main.c"}
-"""Templates, and what they become."""
+"""Templates, and the names of the files made from them."""
 
 
 def write_layers_c(folder: str | Path, network: ChipNetwork) -> None:
-    """Write `network.h`, `network.c` and `main.c` into a folder."""
+    """Write `network.h`, `network.c` and `main.c` to a folder."""
     layers, encoders = network.layers, network.encoders
     sizes = [len(layer.w_in) for layer in layers]
     inputs = layers[0].w_in.shape[1] if encoders is None else len(encoders) - 1

@@ -1,20 +1,20 @@
 """Att-SNN as a graph of the Neuromorphic Intermediate Representation (NIR, Pedersen et al. 2024).
 
-The importers of Norse 1.1 and snnTorch 1.0 both read `Linear` and `CubaLIF` nodes, but neither leaky
-integrators (LI, CubaLI) nor `Scale`, so the graph has the former alone. A leaky integrator is two linear
-nodes in a loop, x[t] = I[t] + τ x[t−1]. A `CubaLIF` is a differential equation, whose Euler steps of `STEP`
-are
+The importers of Norse 1.1 and snnTorch 1.0 read `Linear` and `CubaLIF` nodes, but not leaky integrators (LI,
+CubaLI) or `Scale`. The graph therefore uses only `Linear` and `CubaLIF`. A leaky integrator is represented by
+two linear nodes in a loop, x[t] = I[t] + τ x[t−1]. A `CubaLIF` is a differential equation with these Euler
+steps of size `STEP`:
 
     u[t] = (1 − STEP/tau_syn) u[t−1] + I[t],    v[t] = (1 − STEP/tau_mem) v[t−1] + u[t]
 
-with gains (`w_in`, `r`) that undo the STEP/tau on the inputs. The encoding layer is a `CubaLIF`. The current
-of a hidden neuron is an integrator in front of a `CubaLIF` whose own u is its input.
+The gains (`w_in`, `r`) cancel the factor STEP/tau of the inputs. The encoding layer is a `CubaLIF`. The
+current of a hidden neuron is an integrator before a `CubaLIF` whose own u equals its input.
 
-Both tools deliver along a chain within a step and around a loop after one, so the hidden layer is one step
-ahead of the chip's, and the outputs two. snnTorch's importer takes the nodes in the order of their names, and
-nodes out of order would add steps to a loop: therefore a number stands before each name.
+Both tools deliver along a chain within a step and around a loop after one step. The hidden layer is therefore
+one step ahead of that on the chip, and the outputs are two steps ahead. snnTorch's importer orders the nodes
+by name, and a wrong order would add steps to a loop, so each name starts with a number.
 
-The integers of the chip stand in the metadata of each node.
+The metadata of each node contains the integers of the chip.
 """
 
 from __future__ import annotations
@@ -35,17 +35,17 @@ from ..networks.weights_file import NetworkConfig, Tensors
 
 Array = NDArray[np.float64]
 STEP = 1e-4
-"""What a step of the network counts as in the time constants [s]; snnTorch's importer takes no other."""
+"""Step of the network in the unit of the time constants [s]; snnTorch's importer accepts no other value."""
 
 
 def write_nir(path: str | Path, config: NetworkConfig, tensors: Tensors) -> None:
-    """Write the network between its scaled inputs and its output potentials, for `nir.read`.
+    """Write the network from scaled inputs to output potentials, for `nir.read`.
 
-    Inputs are the readings (6), of a controller roll, pitch and yaw rate of the set-point after them (9).
-    Scales are in the metadata.
+    The inputs are 6 readings; for a controller, roll, pitch and yaw rate of the set-point follow (9). The
+    scales are in the metadata.
 
     Raises:
-        ValueError: Not in the chip's time convention.
+        ValueError: The network does not have the chip's time convention.
     """
     if config.recurrent_delay != 1:
         raise ValueError("a NIR graph needs weights of att-snn with a recurrent delay of 1")

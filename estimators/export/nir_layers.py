@@ -1,15 +1,16 @@
-"""Networks of other tools: a graph of NIR (Pedersen et al. 2024) as layers of neurons in floats.
+"""Import of NIR graphs (Pedersen et al. 2024) from other tools as layers of neurons in floats.
 
-NIR gives differential equations. Their Euler step, with the new current, is that of the importers of Norse
-and snnTorch:
+NIR defines differential equations. They are integrated by Euler steps with the new current, as in the
+importers of Norse and snnTorch:
 
     u[t] = (1 - dt/tau_syn) u[t-1] + g (W s + b),    g = r (dt/tau_mem) w_in (dt/tau_syn)
     v[t] = (1 - dt/tau_mem) v[t-1] + u[t];           a spike where v > v_threshold, and then v = v_reset
 
-LIF, LI and IF keep no current. Potentials are relative to `v_leak`, because the chip leaks and resets to 0.
+LIF, LI and IF have no current state. Potentials are relative to `v_leak`, because the chip leaks and resets
+to 0.
 
-An LI in front of a neuron is its synapse. A linear node of weight 1 with a diagonal one in a loop around it
-is an LI: `nir_graph` writes it for tools that read none.
+An LI before a neuron is its synapse. A linear node of weight 1 with a diagonal node in a loop around it also
+represents an LI, as written by `nir_graph`.
 """
 
 from __future__ import annotations
@@ -30,13 +31,13 @@ NEURONS = (*SPIKING, "LI", "CubaLI")
 SUPPORTED = ("Input", "Output", "Flatten", *LINEAR, *NEURONS)
 ONE_CHAIN = "supported is one chain of layers, each with or without linear connections to itself"
 LARGEST_FILE = 1 << 29
-"""Bytes of arrays that are read; the synapses of a whole chip take less."""
+"""Largest size of arrays that are read [bytes]; the synapses of a whole chip take less."""
 LARGEST_NETWORK = 8192
-"""Inputs and neurons that the emulator takes."""
+"""Largest number of inputs and neurons."""
 
 
 class FloatLayer(NamedTuple):
-    """One population of neurons in floats; its weights contain the gain of the inputs."""
+    """One population of neurons in floats; the weights include the gain of the inputs."""
 
     name: str  #: of its node
     w_in: Array  #: weights from the layer below, or from the inputs, (out, in)
@@ -51,8 +52,8 @@ def read_graph(path: str | Path) -> nir.NIRGraph:
     """Read a NIR file.
 
     Raises:
-        FileNotFoundError: No such file.
-        ValueError: Not a NIR file, a damaged one, or arrays that no chip holds.
+        FileNotFoundError: The file does not exist.
+        ValueError: The file is not a NIR file or is damaged, or its arrays are too large for a chip.
     """
     import h5py  # which nir brings
 
@@ -80,15 +81,14 @@ def read_graph(path: str | Path) -> nir.NIRGraph:
 
 
 def layers_of(graph: nir.NIRGraph, dt: float) -> list[FloatLayer]:
-    """The layers of a graph.
+    """Convert a graph to layers.
 
     Args:
-        graph: One chain from Input to Output; a layer may have connections to itself.
-        dt: Step, in the unit of its time constants [s].
+        graph: A chain from Input to Output, in which layers may be recurrent.
+        dt: Time step, in the unit of the time constants [s].
 
     Raises:
-        ValueError: A node or connection that is not supported, or a value that the chip cannot have; the
-            message names the node.
+        ValueError: A node, a connection or a value is not supported; the message names the node.
     """
     for name, node in graph.nodes.items():
         if (kind := type(node).__name__) not in SUPPORTED:
@@ -138,7 +138,7 @@ def layers_of(graph: nir.NIRGraph, dt: float) -> list[FloatLayer]:
 
 
 def _without_loops(graph: nir.NIRGraph, dt: float) -> tuple[Nodes, Edges]:
-    """Nodes and edges, with an LI in place of a node of weight 1 and the diagonal one in a loop around it."""
+    """Replace each node of weight 1 with a diagonal loop by an LI; return nodes and edges."""
     nodes: Nodes = dict(graph.nodes)
     edges = list(dict.fromkeys(graph.edges))
     for one, decay in list(edges):
@@ -155,7 +155,7 @@ def _without_loops(graph: nir.NIRGraph, dt: float) -> tuple[Nodes, Edges]:
 
 
 def _chain(nodes: Nodes, edges: Edges) -> list[tuple[str, list[str]]]:
-    """Nodes from Input to Output, each with the linear ones that lead from it to itself or to its synapse."""
+    """Return the nodes from Input to Output, each with its recurrent linear nodes."""
     kinds = {name: type(node).__name__ for name, node in nodes.items()}
     ends = [[name for name, kind in kinds.items() if kind == end] for end in ("Input", "Output")]
     if [len(each) for each in ends] != [1, 1]:
@@ -181,7 +181,7 @@ def _chain(nodes: Nodes, edges: Edges) -> list[tuple[str, list[str]]]:
 
 
 def _linear(name: str, node: Any, size: int) -> tuple[Array, Array]:
-    """Weights (out, size) and biases (out,) of a linear node."""
+    """Return weights (out, size) and biases (out,) of a linear node."""
     if isinstance(node, nir.Scale):
         return np.diag(_vector(name, "scale", node.scale, size)), np.zeros(size)
     weight = np.asarray(node.weight, np.float64)
@@ -192,7 +192,7 @@ def _linear(name: str, node: Any, size: int) -> tuple[Array, Array]:
 
 
 def _constants(name: str, node: Any, size: int, dt: float) -> tuple[Array, Array, Array, Array]:
-    """Gain of the inputs, what a step leaves of current and potential, thresholds; (size,) each."""
+    """Return input gain, decay factors of current and potential, and thresholds, (size,) each."""
 
     def of(field: str) -> Array:
         return _vector(name, field, getattr(node, field, 0.0), size)
@@ -223,7 +223,7 @@ def _constants(name: str, node: Any, size: int, dt: float) -> tuple[Array, Array
 
 
 def _vector(name: str, field: str, value: object, size: int) -> Array:
-    """A parameter of a node, one number or `size`, as a vector (size,)."""
+    """Return a parameter of a node, given as one number or `size` numbers, as a vector (size,)."""
     x = np.asarray(value, np.float64).ravel()
     if x.size not in (1, size):
         raise ValueError(f'node "{name}": {field} has {x.size} values, should have 1 or {size}')

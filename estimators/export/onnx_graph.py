@@ -1,4 +1,4 @@
-"""Att-RNN as an ONNX graph, from raw readings to roll and pitch, with its state in and out."""
+"""GRU networks as ONNX graphs, from raw readings to roll and pitch, with the state as input and output."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ att_rnn (float[T, n, 3] gyro, float[T, n, 3] accel, float[1, n, {h0}] h0, float[
     roll_pitch = Add (product, b_out)
 }}
 """
-"""In ONNX's own syntax."""
+"""The graph in ONNX's text syntax."""
 
 
 def write_onnx(path: str | Path, config: NetworkConfig, tensors: Tensors) -> None:
-    """Write the graph: `gyro`, `accel` (T, n, 3), `h0`, `h1` (1, n, units) in, `roll_pitch` (T, n, 2) out.
+    """Write the graph from `gyro`, `accel` (T, n, 3), `h0`, `h1` (1, n, units) to `roll_pitch` (T, n, 2).
 
-    `h0_next`, `h1_next` are the states after the last sample, zero before the first. There is no bridge for
-    missing samples: all readings have to be finite.
+    The outputs `h0_next`, `h1_next` are the states after the last sample; the initial states are zero.
+    Missing samples are not bridged, so all readings must be finite.
     """
     offset, gain = input_scaling(config.inputs)
     constants = {
@@ -62,7 +62,7 @@ def write_onnx(path: str | Path, config: NetworkConfig, tensors: Tensors) -> Non
 
 
 def _gru(tensors: Tensors, layer: int) -> dict[str, NDArray]:
-    """W, R and B of ONNX, whose gates are z, r, n where PyTorch's are r, z, n."""
+    """Return W, R and B in the gate order of ONNX, z, r, n; PyTorch's order is r, z, n."""
 
     def gates(kind: str) -> NDArray:
         r, z, n = np.split(tensors[f"gru.{kind}_l{layer}"], 3)

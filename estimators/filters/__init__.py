@@ -1,1 +1,1 @@
-"""Classical filters: samples of the IMU go in, roll and pitch come out; one file each, batch-first."""
+"""Classical filters, from IMU samples to roll and pitch; one file each, batch-first."""

@@ -1,9 +1,9 @@
-"""Complementary filters: roll and pitch, each on its own.
+"""Complementary filters of roll and pitch.
 
     θ̂ ← γ (θ̂ + ω dt) + (1 − γ) θ_acc
 
-The adaptive one trusts the accelerometer more while the vehicle hardly turns: for ‖ω‖ below `SLOW_RATE` the
-weight 1 − γ grows by k_a |θ̂ − θ_acc|.
+The adaptive filter gives the accelerometer more weight while the vehicle hardly rotates: for ‖ω‖ below
+`SLOW_RATE`, the weight 1 − γ grows by k_a |θ̂ − θ_acc|.
 """
 
 from collections.abc import Mapping
@@ -18,15 +18,15 @@ from .inline_math import tilt_of_force_core, wrap_core
 from .samples import reacquire, run_all
 
 SLOW_RATE = 0.1
-"""Body rate below which the adaptive filter trusts the accelerometer more [rad/s]."""
+"""Body rate below which the adaptive filter gives the accelerometer more weight [rad/s]."""
 
 RECORD = np.dtype([("roll", "f8"), ("pitch", "f8"), ("tilt_variance", "f8")])
-"""Angles [rad], and the variance of the tilt that gaps have left [rad²]."""
+"""State: angles [rad], and the variance of the tilt error caused by gaps [rad²]."""
 
 
 @njit(inline="always")
 def step(s, p, sample):
-    """See `driver`."""
+    """Process a sample or sequences; see `driver`."""
     gx, gy, gz = sample.gyro
     ax, ay, az = sample.accel
     roll, pitch = s.roll + gx * sample.dt, s.pitch + gy * sample.dt
@@ -44,12 +44,12 @@ def step(s, p, sample):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def run(states, samples, params, dt, gyro, accel, rotor_vel, out):
-    """See `driver`."""
+    """Process a sample or sequences; see `driver`."""
     run_all(step, states, samples, params, dt, gyro, accel, rotor_vel, out)
 
 
 class Complementary(CompiledFilter):
-    """The filter of n vehicles; it does not adapt where `k_a` is none of its parameters."""
+    """Complementary filter of n vehicles, adaptive if it has the parameter `k_a`."""
 
     record, run = RECORD, staticmethod(run)
 
@@ -57,5 +57,5 @@ class Complementary(CompiledFilter):
         super().__init__(name, rate_hz, {"k_a": 0.0, **values})
 
     def begin(self, states: Records, quat: Array, known: bool) -> None:
-        """The angles of the quaternion."""
+        """Set the angles from the quaternion."""
         states["roll"], states["pitch"] = roll_pitch_from_quat(quat).T

@@ -1,18 +1,19 @@
-"""The filters of n vehicles: how one starts, restarts, takes readings, and says how sure it is.
+"""Common parts of filters for n vehicles: start, restart, processing of readings, standard deviations.
 
-A compiled filter is a child of `CompiledFilter` in a file of its own, with its parameters in
-`assets/estimators.toml`. It has its state, a record, and one compiled step for one vehicle:
+A compiled filter is a subclass of `CompiledFilter` in its own file, with its parameters in
+`assets/estimators.toml`. It has a record as state, and a compiled step for one vehicle:
 
     step(s, p, sample) -> roll, pitch
-        Takes one `samples.Sample` into the record s, with the parameters p, a record as well. A filter that
-        has diverged returns NaN, and starts again, level.
+        Process one `samples.Sample`, update the record s, and use the record p of parameters. A filter that
+        has diverged returns NaN and restarts at level.
 
-Its file makes of it, with `samples.run_all`, a function that is compiled once and cached:
+With `samples.run_all`, the file defines a compiled and cached function:
 
     run(states, samples, params, dt, gyro, accel, rotor_vel, out)
-        Whole sequences; a streaming `update` is one of length 1, so both give the same numbers. Records
-        states and samples (n,) are updated; params (1,); gyro, accel (n, T, 3); rotor_vel (n, T, rotors),
-        without columns where it is not measured; out, roll and pitch (n, T, 2), is written.
+        Process sequences; `update` is a sequence of length 1, so both give the same numbers. The records
+        states and samples (n,) are updated. The other arguments are params (1,), gyro and accel (n, T, 3),
+        and rotor_vel (n, T, rotors), without columns if not measured. Roll and pitch are written to out (n,
+        T, 2).
 """
 
 import math
@@ -33,30 +34,33 @@ Records = NDArray[np.void]
 
 
 class BatchedFilter:
-    """A filter of n vehicles, a `quadsim.estimator.AttitudeEstimator`; a child starts them and runs them."""
+    """A filter for n vehicles, a `quadsim.estimator.AttitudeEstimator`.
+
+    Subclasses implement the start and the run.
+    """
 
     def __init__(self, name: str, rate_hz: float, values: Mapping[str, float]) -> None:
         """Make the filter for one vehicle; `reset` changes their number.
 
         Args:
-            name: Of the estimator.
+            name: Name of the estimator.
             rate_hz: Samples per second.
-            values: All its parameters.
+            values: Values of all parameters.
         """
         self.name, self.rate_hz, self.values = name, rate_hz, dict(values)
         self._dt = 1.0 / rate_hz
         self.reset()
 
     def reset(self, n: int = 1, roll_pitch: ArrayLike | None = None, quat: ArrayLike | None = None) -> None:
-        """Initialise n vehicles: level, or at a known attitude.
+        """Initialise n vehicles at level or at a known attitude.
 
         Args:
             n: Number of vehicles.
             roll_pitch: (n, 2) [rad] one sample before the first update, or one pair for all.
-            quat: The same as quat_WB (n, 4); yaw then counts from it.
+            quat: The same attitude as quat_WB (n, 4), which also sets the initial yaw.
 
         Raises:
-            ValueError: For shapes that do not fit, or both attitudes at once.
+            ValueError: A shape does not fit, or both attitudes are given.
         """
         self.state = self._started(*initial_quat(n, roll_pitch, quat))
         self._samples, self._shape, self._sample = initial_samples(n), (n, 3), (n, 1, 3)
@@ -65,14 +69,14 @@ class BatchedFilter:
     def restart(
         self, ids: ArrayLike, roll_pitch: ArrayLike | None = None, quat: ArrayLike | None = None
     ) -> None:
-        """Initialise some vehicles again, the others continue; attitudes (len(ids), ·) as in `reset`."""
+        """Restart some vehicles while the others continue; attitudes (len(ids), ·) are as in `reset`."""
         rows = rows_of(ids, len(self.state))
         if rows.size > 0:
             self.state[rows] = self._started(*initial_quat(rows.size, roll_pitch, quat))
             self._samples[rows] = initial_samples(rows.size)
 
     def update(self, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]) -> Array:
-        """Take one sample (n, 3) [rad/s], (n, 3) [m/s²]; roll and pitch (n, 2) [rad]."""
+        """Process one sample (n, 3) [rad/s], (n, 3) [m/s²]; return roll and pitch (n, 2) [rad]."""
         gyro = np.ascontiguousarray(gyro, dtype=np.float64)
         accel = np.ascontiguousarray(accel, dtype=np.float64)
         if gyro.shape != self._shape or accel.shape != self._shape:
@@ -83,7 +87,7 @@ class BatchedFilter:
         return self._run(gyro.reshape(self._sample), accel.reshape(self._sample), rotors)[:, 0]
 
     def sequence(self, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]) -> Array:
-        """Take (n, T, 3) samples, carrying on from the last; roll and pitch (n, T, 2) [rad]."""
+        """Process T further samples, (n, T, 3) each; return roll and pitch (n, T, 2) [rad]."""
         gyro, accel = paired(gyro, accel)
         if len(gyro) != len(self.state):
             raise ValueError(f"gyro holds {len(gyro)} vehicles; reset was for {len(self.state)}")
@@ -91,20 +95,20 @@ class BatchedFilter:
 
     @property
     def skipped(self) -> NDArray[np.int64]:
-        """Samples since reset that were missing in part or whole, (n,)."""
+        """Number of incomplete samples since `reset`, (n,)."""
         return self._samples["skipped"].astype(np.int64)
 
     def _started(self, quat: Array, known: bool) -> NDArray[Any]:
-        """States (n,) at quat_WB (n, 4), level if it is not known."""
+        """Return states (n,) at quat_WB (n, 4), level if the attitude is not known."""
         raise NotImplementedError
 
     def _run(self, gyro: Array, accel: Array, rotors: Array) -> Array:
-        """Take samples (n, T, ·); roll and pitch (n, T, 2) [rad]."""
+        """Process samples (n, T, ·); return roll and pitch (n, T, 2) [rad]."""
         raise NotImplementedError
 
 
 def public_field(field: str, about: str) -> property:
-    """A public field of the state; AttributeError for a filter that does not estimate it."""
+    """Return a property for a field of the state; it raises AttributeError if the filter lacks the field."""
 
     def get(self: "CompiledFilter") -> Array:
         if field not in (self.record.names or ()):
@@ -115,12 +119,12 @@ def public_field(field: str, about: str) -> property:
 
 
 class CompiledFilter(BatchedFilter):
-    """A filter of this package."""
+    """A filter with compiled equations."""
 
     record: ClassVar[np.dtype]
-    """Its state. Fields named quat, gyro_bias and velocity are public."""
+    """Record type of the state. The fields quat, gyro_bias and velocity are public."""
     run: ClassVar[Callable[..., None]]
-    """As above, a static method."""
+    """Compiled function, as in the module's docstring; a static method."""
 
     def __init__(self, name: str, rate_hz: float, values: Mapping[str, float]) -> None:
         self.values, self.state = dict(values), np.zeros(0, self.record)
@@ -135,7 +139,7 @@ class CompiledFilter(BatchedFilter):
         states["quat"] = quat
 
     def tilt_covariance(self) -> Array:
-        """Covariance (n, 2, 2) [rad²] of the tilt's error about world x and y, by which errors begin."""
+        """Return the covariance (n, 2, 2) of the tilt error about world x and y, the first errors [rad²]."""
         if "covariance" not in (self.record.names or ()):
             raise AttributeError(f"{self.name} has no covariance")
         return self.state["covariance"][:, :2, :2]
@@ -146,7 +150,7 @@ class CompiledFilter(BatchedFilter):
 
     @property
     def roll_pitch_sigma(self) -> Array:
-        """Standard deviation of roll and pitch, by the filter's own covariance (n, 2) [rad]."""
+        """Standard deviation of roll and pitch, from the filter's own covariance (n, 2) [rad]."""
         tilt = self.tilt_covariance()
         _, pitch, yaw = np.moveaxis(euler_from_quat(self.quat), -1, 0)
         turn = np.stack([np.cos(yaw), np.sin(yaw), -np.sin(yaw), np.cos(yaw)], axis=-1).reshape(-1, 2, 2)
@@ -168,12 +172,12 @@ class CompiledFilter(BatchedFilter):
 
 @cache
 def _params_type(record: np.dtype, names: tuple[str, ...]) -> np.dtype:
-    """Parameters and a state at level; one object for each filter: Numba compares others in every call."""
+    """Return the types of parameters and state, one object per filter, so that Numba compares none."""
     return np.dtype([*((name, "f8") for name in names), ("level", record)])
 
 
 def initial_quat(n: int, roll_pitch: ArrayLike | None, quat: ArrayLike | None) -> tuple[Array, bool]:
-    """Attitude to start from, quat_WB (n, 4), level if none is given, and whether one was given."""
+    """Return the initial attitude quat_WB (n, 4), level by default, and whether one was given."""
     if n < 1:
         raise ValueError(f"n = {n}: an estimator needs at least one vehicle")
     if roll_pitch is not None and quat is not None:
@@ -186,7 +190,7 @@ def initial_quat(n: int, roll_pitch: ArrayLike | None, quat: ArrayLike | None) -
 
 
 def paired(gyro: ArrayLike, accel: ArrayLike) -> tuple[Array, Array]:
-    """Two contiguous float64 sequences of the same shape (n, T, 3), or ValueError."""
+    """Convert to two contiguous float64 sequences of the same shape (n, T, 3); otherwise raise ValueError."""
     gyro = np.ascontiguousarray(gyro, dtype=np.float64)
     accel = np.ascontiguousarray(accel, dtype=np.float64)
     if gyro.ndim != 3 or gyro.shape[-1] != 3 or gyro.shape != accel.shape:
@@ -195,7 +199,10 @@ def paired(gyro: ArrayLike, accel: ArrayLike) -> tuple[Array, Array]:
 
 
 def rotor_speeds(shape: tuple[int, ...], given: OtherSensors) -> Array:
-    """Rotor speeds among readings (*shape, ·), without columns where there are none, or ValueError."""
+    """Return the rotor speeds among readings (*shape, ·), without columns if there are none.
+
+    Invalid shapes raise ValueError.
+    """
     values = given.get("rotor_vel")
     speeds = np.empty((*shape, 0)) if values is None else np.ascontiguousarray(values, np.float64)
     if speeds.shape[:-1] != shape:

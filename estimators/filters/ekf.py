@@ -1,12 +1,12 @@
 """Extended Kalman filter of the quaternion: gyroscope in the prediction, accelerometer in the correction.
 
-State q, a random walk in quaternion space around the integrated gyroscope:
+The state is q, a random walk in quaternion space around the integrated gyroscope:
 
     q ← q ⊗ exp(½ ω dt),   F the matrix of that product,   P ← F P Fᵀ + ¼ N² dt I
 
-Measurement: the direction of the specific force in body axes, predicted h(q) = R(q)ᵀ (0, 0, 1), with
-covariance σ² / dt I. Noises are densities, so that the filter acts alike at any sample rate. ω is the mean
-of the last two samples. `packaged` holds the same filter on filterpy's classes.
+The measurement is the direction of the specific force in body axes, predicted as h(q) = R(q)ᵀ (0, 0, 1), with
+covariance σ² / dt I. Noise parameters are densities, so that the filter behaves equally at any sample rate. ω
+is the mean of the last two samples. `packaged` contains the same filter with filterpy's classes.
 """
 
 import numpy as np
@@ -21,9 +21,9 @@ from .samples import run_all
 SIGMA_KNOWN = 0.01
 """Standard deviation of a known initial attitude [rad]."""
 SIGMA_UNKNOWN = 0.5
-"""The same of one that is not known and taken as level [rad]."""
+"""Standard deviation of an unknown initial attitude, which is taken as level [rad]."""
 NOTHING_KNOWN = 1e300
-"""Variance of a measurement that is missing."""
+"""Variance of a missing measurement."""
 
 RECORD = np.dtype(
     [
@@ -38,13 +38,13 @@ RECORD = np.dtype(
 
 @njit
 def dot(a, b):
-    """Inner product of two tuples."""
+    """Return the inner product of two tuples."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
 
 
 @njit
 def propagate(P, T, step, noise):
-    """P ← F P Fᵀ + noise I. F x = x ⊗ step, and P is symmetric: F (F P)ᵀ; T is scratch."""
+    """Compute P ← F P Fᵀ + noise I for a symmetric P, with F x = x ⊗ step; T is scratch space."""
     for i in range(4):
         put(T[i], multiply(P[i], step))
     for i in range(4):
@@ -54,15 +54,15 @@ def propagate(P, T, step, noise):
 
 @njit(forceinline=True, error_model="numpy")
 def correct(P, size, dx, column, total, residual):
-    """One scalar measurement with row h: adds to the error dx, reduces P.
+    """Apply one scalar measurement with row h: update the error dx and the covariance P.
 
     Args:
         P: Covariance.
-        size: Errors in the state; P may have further columns of zeros.
-        dx: Error estimated so far.
+        size: Number of errors in the state; P may have further columns of zeros.
+        dx: Estimated error.
         column: P hᵀ.
-        total: h P hᵀ and the measurement's variance.
-        residual: Measured less expected, less h dx.
+        total: h P hᵀ plus the variance of the measurement.
+        residual: Measured minus expected value, minus h dx.
     """
     for a in range(size):
         gain = column[a] / total
@@ -100,7 +100,7 @@ def step(s, p, sample):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def run(states, samples, params, dt, gyro, accel, rotor_vel, out):
-    """See `driver`."""
+    """Process a sample or sequences; see `driver`."""
     run_all(step, states, samples, params, dt, gyro, accel, rotor_vel, out)
 
 
@@ -110,12 +110,12 @@ class Ekf(CompiledFilter):
     record, run = RECORD, staticmethod(run)
 
     def begin(self, states: Records, quat: Array, known: bool) -> None:
-        """Also the attitude's variance."""
+        """Initialise attitude and variance."""
         states["quat"] = quat
         states["covariance"][:, range(4), range(4)] = 0.25 * (SIGMA_KNOWN if known else SIGMA_UNKNOWN) ** 2
 
     def tilt_covariance(self) -> Array:
-        """Of the error θ = 2 (δq ⊗ q*) in world axes, its x and y: (n, 2, 2) [rad²]."""
+        """Return the covariance of the error θ = 2 (δq ⊗ q*), world x and y, (n, 2, 2) [rad²]."""
         w, x, y, z = self.quat.T
         to_tilt = 2.0 * np.stack([-x, w, -z, y, -y, z, w, -x], axis=-1).reshape(-1, 2, 4)
         return to_tilt @ self.state["covariance"] @ np.swapaxes(to_tilt, 1, 2)

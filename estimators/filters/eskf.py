@@ -1,15 +1,15 @@
-"""Error-state Kalman filter of attitude and gyroscope bias, its error in world axes: an invariant filter.
+"""Invariant error-state Kalman filter of attitude and gyroscope bias, with the error in world axes.
 
 True and estimated attitude differ by R = exp([θ]×) R̂ with θ in the world (right-invariant error: Barrau &
 Bonnabel, "The invariant extended Kalman filter as a stable observer", IEEE TAC 62(4), 2017). Then
 
     θ̇ = −R̂ (δb + noise),   and the tilt of the specific force R̂ a from the world's vertical is θ_x, θ_y:
 
-the measurement matrix is constant, so that a large initial error is corrected as well as a small one.
-Heading and its error are not observable from an IMU and are left out: the error state is θ_x, θ_y, δb (5).
+The measurement matrix is constant, so that large initial errors are corrected as well as small ones. The
+heading is not observable from an IMU, so its error is omitted: the error state is θ_x, θ_y, δb (5).
 
-The specific force of a vehicle that accelerates is not gravity. Its variance grows with how far its
-magnitude is from gravity: σ² / dt (1 + (κ (|a| / g − 1))²).
+The specific force of an accelerating vehicle is not gravity. Its variance grows with the difference between
+its magnitude and gravity: σ² / dt (1 + (κ (|a| / g − 1))²).
 """
 
 import math
@@ -36,12 +36,13 @@ RECORD = np.dtype(
 )
 
 SIGMA_GIVEN = 0.3
-"""Standard deviation of an initial attitude that is given [rad]: one that is wrong would pass for a bias."""
+"""Standard deviation of a given initial attitude [rad]; a wrong one would otherwise be estimated as a
+bias."""
 
 
 @njit(error_model="numpy")
 def tilt_core(force):
-    """Rotation vector x, y [rad] that takes a world vector to the z axis the short way; any length."""
+    """Return the shortest rotation vector (x, y) from a world vector of any length to the z axis [rad]."""
     x, y, z = force
     across = math.sqrt(x * x + y * y)
     scale = atan2_core(across, z) / (across if across > 0.0 else 1.0)
@@ -50,14 +51,14 @@ def tilt_core(force):
 
 @njit
 def turned(q, x, y):
-    """A quaternion after a small rotation (x, y, 0) [rad] about world axes."""
+    """Return a quaternion after a small rotation (x, y, 0) about world axes [rad]."""
     w, x, y, z = multiply(exp_core(x, y, 0.0), q)
     return normalize_core(w, x, y, z)
 
 
 @njit
 def propagate(P, r, dt, attitude_walk, bias_walk):
-    """P ← F P Fᵀ + Q for F = [[I, −R̂ dt], [0, I]]; r is R̂ by rows."""
+    """Compute P ← F P Fᵀ + Q for F = [[I, −R̂ dt], [0, I]]; r is R̂ by rows."""
     for j in range(5):
         x, y, z = P[2, j], P[3, j], P[4, j]
         P[0, j] -= dt * (r[0] * x + r[1] * y + r[2] * z)
@@ -71,7 +72,7 @@ def propagate(P, r, dt, attitude_walk, bias_walk):
 
 @njit(inline="always")
 def step(s, p, sample):
-    """See `driver`. A missing specific force has the variance of nothing known."""
+    """Process a sample as described in `driver`; a missing specific force has a very large variance."""
     dt, P, dx, b = sample.dt, s.covariance, s.error, s.gyro_bias
     gx, gy, gz = sample.mean_gyro
     ax, ay, az = sample.accel
@@ -95,7 +96,7 @@ def step(s, p, sample):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def run(states, samples, params, dt, gyro, accel, rotor_vel, out):
-    """See `driver`."""
+    """Process a sample or sequences; see `driver`."""
     run_all(step, states, samples, params, dt, gyro, accel, rotor_vel, out)
 
 
@@ -105,7 +106,7 @@ class Eskf(CompiledFilter):
     record, run = RECORD, staticmethod(run)
 
     def begin(self, states: Records, quat: Array, known: bool) -> None:
-        """Also the variances of tilt and bias."""
+        """Initialise attitude, bias and their variances."""
         states["quat"] = quat
         sigma = [SIGMA_GIVEN if known else SIGMA_UNKNOWN] * 2 + [self.values["bias_sigma"]] * 3
         states["covariance"] = np.diag(np.square(sigma))

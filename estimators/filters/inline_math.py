@@ -1,4 +1,4 @@
-"""Angles and trigonometry that the compiler inlines: faster than calls of the C library."""
+"""Trigonometric functions that the compiler inlines, which are faster than those of the C library."""
 
 import math
 
@@ -10,9 +10,10 @@ from quadsim.runs.compiled import njit
 
 @njit(error_model="numpy")
 def atan2_core(y, x):
-    """atan2 to one unit in the last place, compiled inline: twice as fast as a call of the C library.
+    """Compute atan2 to one unit in the last place, inlined and twice as fast as the C library.
 
-    Rational approximation of Cephes (S. Moshier, `atan.c`) on [0, tan π/8] after a turn by 0, 45 or 90°.
+    The function uses the rational approximation of Cephes (S. Moshier, `atan.c`) on [0, tan π/8] after a
+    rotation by 0, 45 or 90°.
     """
     across, along = abs(y), abs(x)
     steep, middle = across > 2.414213562373095 * along, across > 0.41421356237309503 * along
@@ -32,26 +33,26 @@ def atan2_core(y, x):
 
 @njit
 def put(array, values):
-    """Write a tuple or an array to an array; for a slice Numba would also compile messages about shapes."""
+    """Write a tuple or an array to an array, which compiles faster than a slice assignment."""
     for k in range(len(values)):
         array[k] = values[k]
 
 
 @njit
 def multiply(p, q):
-    """Product p ⊗ q of two quaternions, tuples or arrays."""
+    """Return the product p ⊗ q of two quaternions, tuples or arrays."""
     return multiply_core(p[0], p[1], p[2], p[3], q[0], q[1], q[2], q[3])
 
 
 @njit
 def rotate(q, v):
-    """A vector rotated by a quaternion, tuples or arrays."""
+    """Rotate a vector by a quaternion, tuples or arrays."""
     return rotate_core(q[0], q[1], q[2], q[3], v[0], v[1], v[2])
 
 
 @njit(error_model="numpy")
 def direction_core(x, y, z):
-    """A vector scaled to length 1; zero stays zero."""
+    """Normalise a vector; zero remains zero."""
     length = math.sqrt(x * x + y * y + z * z)
     scale = 1.0 / length if length > 0.0 else 0.0
     return x * scale, y * scale, z * scale
@@ -59,7 +60,7 @@ def direction_core(x, y, z):
 
 @njit(error_model="numpy")
 def sincos_core(x):
-    """Sine and cosine of a moderate angle [rad], compiled inline like `atan2_core` (Cephes, `sin.c`)."""
+    """Compute sine and cosine of a moderate angle [rad], inlined like `atan2_core` (Cephes, `sin.c`)."""
     quarter = np.floor(x * (2.0 / math.pi) + 0.5)
     r = ((x - quarter * 1.57079625129699707031) - quarter * 7.54978941586159635335e-8) - (
         quarter * 5.39030252995776476554e-15
@@ -79,7 +80,7 @@ def sincos_core(x):
 
 @njit(error_model="numpy")
 def exp_core(x, y, z):
-    """The quaternion of a rotation vector, `rotation.from_rotvec_core` compiled inline."""
+    """Return the quaternion of a rotation vector, as `rotation.from_rotvec_core`, inlined."""
     angle = math.sqrt(x * x + y * y + z * z)
     sine, cosine = sincos_core(0.5 * angle)
     small = angle < 1e-4
@@ -89,7 +90,7 @@ def exp_core(x, y, z):
 
 @njit
 def roll_pitch_core(q):
-    """Roll and pitch of a quaternion [rad], without the yaw that `euler_core` also works out."""
+    """Return roll and pitch of a quaternion [rad]."""
     qw, qx, qy, qz = q
     across = 2.0 * (qy * qz + qw * qx)
     up = qw * qw - qx * qx - qy * qy + qz * qz
@@ -98,13 +99,13 @@ def roll_pitch_core(q):
 
 @njit
 def tilt_of_force_core(ax, ay, az):
-    """Roll and pitch at which gravity alone would give this specific force [rad]."""
+    """Return roll and pitch at which gravity alone would give this specific force [rad]."""
     return atan2_core(ay, az), atan2_core(-ax, math.sqrt(ay * ay + az * az))
 
 
 @njit
 def wrap_core(angle):
-    """The same angle within ±π, for one within ±3π [rad]."""
+    """Wrap an angle within ±3π to ±π [rad]."""
     if angle > math.pi:
         return angle - 2.0 * math.pi
     if angle < -math.pi:

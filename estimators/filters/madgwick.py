@@ -19,12 +19,12 @@ from .inline_math import direction_core, multiply, put, roll_pitch_core
 from .samples import reacquire, run_all
 
 RECORD = np.dtype([("quat", "f8", 4), ("tilt_variance", "f8")])
-"""The variance is that of the tilt that gaps have left [rad²]."""
+"""State; the variance is that of the tilt error caused by gaps [rad²]."""
 
 
 @njit(error_model="numpy")
 def descent(qw, qx, qy, qz, ax, ay, az):
-    """Direction of steepest ascent Jᵀf / ‖Jᵀf‖ at q, zero where the gradient or the force is, and ‖f‖."""
+    """Return the steepest ascent Jᵀf / ‖Jᵀf‖ at q (zero if gradient or force is zero), and ‖f‖."""
     ax, ay, az = direction_core(ax, ay, az)
     fx = 2.0 * (qx * qz - qw * qy) - ax
     fy = 2.0 * (qw * qx + qy * qz) - ay
@@ -41,7 +41,7 @@ def descent(qw, qx, qy, qz, ax, ay, az):
 
 @njit(inline="always")
 def step(s, p, sample):
-    """See `driver`."""
+    """Process a sample or sequences; see `driver`."""
     dt = sample.dt
     gx, gy, gz = sample.gyro
     ax, ay, az = sample.accel
@@ -58,7 +58,7 @@ def step(s, p, sample):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def run(states, samples, params, dt, gyro, accel, rotor_vel, out):
-    """See `driver`."""
+    """Process a sample or sequences; see `driver`."""
     run_all(step, states, samples, params, dt, gyro, accel, rotor_vel, out)
 
 

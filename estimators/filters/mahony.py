@@ -17,12 +17,12 @@ from .inline_math import direction_core, multiply, put, roll_pitch_core
 from .samples import reacquire, run_all
 
 RECORD = np.dtype([("quat", "f8", 4), ("gyro_bias", "f8", 3), ("tilt_variance", "f8")])
-"""The variance is that of the tilt that gaps have left [rad²]."""
+"""State; the variance is that of the tilt error caused by gaps [rad²]."""
 
 
 @njit(inline="always")
 def step(s, p, sample):
-    """See `driver`."""
+    """Process a sample or sequences; see `driver`."""
     dt, k_i = sample.dt, p.k_i
     gx, gy, gz = sample.gyro
     qw, qx, qy, qz = s.quat
@@ -43,7 +43,7 @@ def step(s, p, sample):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def run(states, samples, params, dt, gyro, accel, rotor_vel, out):
-    """See `driver`."""
+    """Process a sample or sequences; see `driver`."""
     run_all(step, states, samples, params, dt, gyro, accel, rotor_vel, out)
 
 

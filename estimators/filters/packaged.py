@@ -1,15 +1,15 @@
-"""Filters of other packages, one of their objects per vehicle.
+"""Filters of other packages, with one object per vehicle.
 
-VQF, the versatile quaternion-based filter, is its authors' C++, six axes: D. Laidig, T. Seel, "VQF: Highly
-accurate IMU orientation estimation with bias estimation and magnetic disturbance rejection", Information
-Fusion 91, 2023. Its low-pass starts as a running mean, so with an unknown initial attitude it takes the
-inclination of the first specific force at once, and levels out over `tauAcc`, which is its own behaviour.
-After a gap in which the vehicle may have turned by more than `LOST` it starts again like that, with the bias
-that it had estimated.
+VQF, the versatile quaternion-based filter, is the authors' C++ code with six axes: D. Laidig, T. Seel, "VQF:
+Highly accurate IMU orientation estimation with bias estimation and magnetic disturbance rejection",
+Information Fusion 91, 2023. Its low-pass starts as a running mean. With an unknown initial attitude, VQF
+therefore starts with the inclination of the first specific force and converges within `tauAcc`. After a gap
+in which the vehicle may have rotated by more than `LOST`, VQF starts again in this way, with the estimated
+bias.
 
-The others are quaternion Kalman filters on filterpy's classes. `ekf-filterpy` is the filter of `ekf`, number
-for number. `ukf-filterpy` has the same model with scaled sigma points (van der Merwe), each measured as the
-direction R(q)ᵀ (0, 0, 1) of the unit quaternion along it.
+The others are quaternion Kalman filters with filterpy's classes. `ekf-filterpy` gives the same numbers as
+`ekf`. `ukf-filterpy` has the same model with scaled sigma points (van der Merwe); the measurement of a sigma
+point is R(q)ᵀ (0, 0, 1) of its normalised quaternion.
 """
 
 import math
@@ -33,28 +33,29 @@ from .samples import sanitise
 Array = NDArray[np.float64]
 
 LOST = math.radians(10.0)
-"""Standard deviation of an unseen turn after which VQF starts again [rad]: that of a gap of 0.25 s."""
+"""Standard deviation of an unmeasured rotation after which VQF starts again [rad], reached in a gap of 0.25
+s."""
 SWITCHES = ("motionBiasEstEnabled", "restBiasEstEnabled")
 
 
 ALPHA, BETA, KAPPA = 0.1, 2.0, 0.0
-"""Scaling of the sigma points, and the usual choices for a Gaussian."""
+"""Parameters of the scaled sigma points, with the usual values for a Gaussian."""
 
 
 def up_of_quat(q: Array) -> Array:
-    """Predicted measurement h(q), quadratic in q: the direction R(q)ᵀ (0, 0, 1) for a unit q."""
+    """Return the predicted measurement h(q), quadratic in q, which is R(q)ᵀ (0, 0, 1) for a unit q."""
     w, x, y, z = q
     return np.array([2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z])
 
 
 def up_jacobian(q: Array) -> Array:
-    """∂h/∂q, (3, 4)."""
+    """Return ∂h/∂q, (3, 4)."""
     w, x, y, z = q
     return 2.0 * np.array([[-y, z, -w, x], [x, w, z, y], [w, -x, -y, z]])
 
 
 def product_matrix(p: Array) -> Array:
-    """The matrix F of q ⊗ p = F q, (4, 4)."""
+    """Return the matrix F of q ⊗ p = F q, (4, 4)."""
     w, x, y, z = p
     return np.array([[w, -x, -y, -z], [x, w, z, -y], [y, -z, w, x], [z, y, -x, w]])
 
@@ -63,7 +64,10 @@ class Vqf(BatchedFilter):
     """VQF for n vehicles."""
 
     def __init__(self, name: str, rate_hz: float, values: Mapping[str, float]) -> None:
-        """As `BatchedFilter`; the values are the package's parameters, of which switches are 0 or 1."""
+        """Make the filter as `BatchedFilter`.
+
+        The values are parameters of the package, with switches as 0 or 1.
+        """
         self._options: dict[str, Any] = {**values} | {key: bool(values[key]) for key in SWITCHES}
         super().__init__(name, rate_hz, values)
 
@@ -78,11 +82,11 @@ class Vqf(BatchedFilter):
         return np.array([each.getBiasEstimate()[0] for each in self.state])
 
     def __getstate__(self) -> dict[str, Any]:
-        """For copies and pickles: the package's objects have neither, but give their state."""
+        """Return the state for copies and pickles, which objects of the package do not support."""
         return vars(self) | {"state": [each.state for each in self.state]}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Undo `__getstate__`."""
+        """Restore the state of `__getstate__`."""
         vars(self).update(state)
         self.state = self._made(len(state["state"]))
         for each, its in zip(self.state, state["state"], strict=True):
@@ -105,7 +109,7 @@ class Vqf(BatchedFilter):
 
 
 class FilterpyEkf(BatchedFilter):
-    """An extended Kalman filter of filterpy for n vehicles."""
+    """Extended Kalman filter with filterpy's classes, for n vehicles."""
 
     @property
     def quat(self) -> Array:
@@ -144,7 +148,7 @@ class FilterpyEkf(BatchedFilter):
 
 
 class FilterpyUkf(FilterpyEkf):
-    """An unscented one."""
+    """Unscented Kalman filter with filterpy's classes, for n vehicles."""
 
     def _made(self) -> Any:
         points = MerweScaledSigmaPoints(4, ALPHA, BETA, KAPPA)
@@ -166,7 +170,7 @@ def _hx(q: Array) -> Array:
 
 @njit(cache=True, error_model="numpy")
 def roll_pitch(quats):
-    """Roll and pitch (k, 2) [rad] of quaternions (k, 4); a call costs a fifth of `roll_pitch_from_quat`'s."""
+    """Return roll and pitch (k, 2) [rad] of quaternions (k, 4), faster than `roll_pitch_from_quat`."""
     out = np.empty((quats.shape[0], 2))
     for i in range(quats.shape[0]):
         out[i, 0], out[i, 1], _ = euler_core(quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3])
@@ -174,7 +178,10 @@ def roll_pitch(quats):
 
 
 def _quats(vqf: VQF, rate: Array, force: Array, lost: NDArray[np.bool_]) -> Array:
-    """Quaternions (T, 4) of one vehicle's samples (T, 3), starting again where lost (T,)."""
+    """Return quaternions (T, 4) for samples (T, 3) of one vehicle.
+
+    The filter restarts where `lost` (T,) is true.
+    """
     if len(rate) == 1:  # faster than a batch of one
         if lost[0]:
             _start_again(vqf)
@@ -189,7 +196,7 @@ def _quats(vqf: VQF, rate: Array, force: Array, lost: NDArray[np.bool_]) -> Arra
 
 
 def _start_again(vqf: VQF) -> None:
-    """Put VQF at its start, with the gyroscope's bias and its covariance as they are."""
+    """Restart VQF, but keep the gyroscope bias and its covariance."""
     old = vqf.state
     vqf.resetState()
     new = vqf.state
@@ -199,7 +206,7 @@ def _start_again(vqf: VQF) -> None:
 
 
 def _start_at(vqf: VQF, quat: Array) -> None:
-    """Put VQF at an attitude, its acceleration low-pass in the steady state of a vehicle at rest there."""
+    """Set VQF to an attitude, with the acceleration low-pass in the steady state of rest."""
     state, coefficients = vqf.state, vqf.coeffs
     b, a = np.asarray(coefficients["accLpB"]), np.asarray(coefficients["accLpA"])
     settled = [VQF.filterInitialState(level, b, a) for level in (0.0, 0.0, GRAVITY)]

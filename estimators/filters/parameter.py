@@ -1,4 +1,4 @@
-"""The numbers of an estimator that a user or `quadsim tune` may change."""
+"""Parameters of an estimator that a user or `quadsim tune` can change."""
 
 import math
 from collections.abc import Mapping
@@ -15,25 +15,27 @@ Scale = Literal["linear", "log", "one-minus-log"]
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of a filter: its default, what is allowed, and where a search looks for it."""
+    """One parameter of a filter: its default value and the range of the search."""
 
     default: float
-    """NaN for one that only the vehicle's file gives."""
+    """Default value; NaN for a parameter that only the vehicle's file can give."""
     low: float
-    """Lower end of the search."""
+    """Smallest value in the search."""
     high: float
-    """Upper end of the search."""
+    """Largest value in the search."""
     scale: Scale = "log"
-    """How the search's [0, 1] maps to low…high: evenly, by factors, or by factors of the distance from 1."""
+    """Mapping of the search interval [0, 1] to low…high: linear, logarithmic, or logarithmic in the distance
+    from 1."""
     minimum: float = 0.0
     maximum: float = math.inf
     searched: bool = True
-    """False for a known constant that tuning leaves alone."""
+    """Whether tuning searches the parameter; false for a known constant."""
     per_sample: Literal["", "weight", "memory"] = ""
-    """What a number that acts once per sample does, so that it can be converted to another sample rate."""
+    """Role of a parameter that acts once per sample, which determines its conversion to another sample
+    rate."""
 
     def at(self, unit: ArrayLike) -> NDArray[np.float64]:
-        """Value at a position of the search, 0…1 -> low…high."""
+        """Return the value at a position of the search, 0…1 -> low…high."""
         x = np.asarray(unit, dtype=np.float64)
         match self.scale:
             case "linear":
@@ -44,7 +46,7 @@ class Parameter:
                 return 1.0 - (1.0 - self.low) * ((1.0 - self.high) / (1.0 - self.low)) ** x
 
     def position(self, value: float) -> float:
-        """Where a value lies in the search, the inverse of `at`, within 0…1."""
+        """Return the position of a value in the search, within 0…1; the inverse of `at`."""
         low, high = self.low, self.high
         match self.scale:
             case "linear":
@@ -57,7 +59,7 @@ class Parameter:
         return min(max(x, 0.0), 1.0)
 
     def carried(self, value: float, rate_ratio: float) -> float:
-        """The value that acts alike at another sample rate, old rate / new rate given."""
+        """Return the value with the same effect at another sample rate, for the ratio old rate / new rate."""
         match self.per_sample:
             case "memory":
                 return value**rate_ratio
@@ -68,7 +70,7 @@ class Parameter:
 
 
 def checked(owner: str, parameters: Mapping[str, Parameter], given: Mapping[str, object]) -> dict[str, float]:
-    """The given parameters as floats; ValueError for an unknown name or a value out of range."""
+    """Return parameters as floats; raise ValueError for an unknown name or a value out of range."""
     values = {}
     for name, value in given.items():
         if name not in parameters:

@@ -1,4 +1,4 @@
-"""What every filter does with a sample before its own equations, and the loop over samples."""
+"""Checks of samples, common to all filters, and the loop over samples."""
 
 import math
 from typing import NamedTuple
@@ -20,23 +20,24 @@ SAMPLES = np.dtype(
         ("gap", "f8"),  # variance of what was turned unseen in a gap that lasts [rad²]
     ]
 )
-"""What a vehicle's samples so far leave, beside the state of its filter."""
+"""State of the checks of a vehicle's samples."""
 
 WORST = 2.0 * math.pi**2
-"""Squared error of an estimate that is 180° off in roll and in pitch, or no number [rad²]."""
+"""Squared error of an estimate that is wrong by 180° in roll and pitch or is not a number [rad²]."""
 HOLD_S = 0.1
-"""A missing gyroscope sample is replaced by the last good one for this long [s], and after that by zero."""
+"""Longest time for which the last valid gyroscope sample replaces a missing one, before zero does [s]."""
 ACCELERATION_MAX = 2000.0
-"""Largest change of a rate from the last good sample: the larger of `RATE_STEP`, and what so many rad/s² make
-in a sample. What differs by more is missing, for `HOLD_S`, or as long as there had been good ones."""
+"""Largest angular acceleration [rad/s²]. A rate that differs from the last valid one by more than this per
+sample, and by more than `RATE_STEP`, counts as missing for up to `HOLD_S`, or for as long as rates had been
+valid."""
 GAP_RATE = 2.0
-"""Standard deviation of the rate at which a vehicle turns unseen in a gap longer than `HOLD_S` [rad/s]."""
+"""Standard deviation of the unknown body rate in a gap longer than `HOLD_S` [rad/s]."""
 
 ROTORS_STOPPED = 1.0
-"""Rotor speed below which rotors do not turn: the root of the sum of squares [rad/s]."""
+"""Root of the sum of squared rotor speeds below which the rotors count as stopped [rad/s]."""
 
 REACQUISITION_NOISE = 0.2
-"""Noise density of the tilt that the accelerometer of a flying vehicle shows [rad √s]."""
+"""Noise density of the tilt from the accelerometer of a flying vehicle [rad √s]."""
 
 
 class Sample(NamedTuple):
@@ -45,23 +46,23 @@ class Sample(NamedTuple):
     gyro: tuple[float, float, float]
     """Body rate [rad/s]."""
     mean_gyro: tuple[float, float, float]
-    """Mean of this body rate and the last, the trapezoidal rule between samples [rad/s]."""
+    """Mean of this body rate and the previous one, for the trapezoidal rule [rad/s]."""
     accel: tuple[float, float, float]
-    """Specific force [m/s²]; zero where it is missing."""
+    """Specific force [m/s²]; zero if missing."""
     found: bool
     """Whether there is a specific force."""
     rotor_square: float
-    """Σ ω² of the rotors [rad²/s²]; zero where a speed is missing, or the rotors stand still."""
+    """Σ ω² of the rotors [rad²/s²]; zero if a speed is missing or the rotors stand still."""
     unseen: float
-    """Variance of the unmeasured turn since the last sample [rad²]; zero unless a rate is missing."""
+    """Variance of the unmeasured rotation since the last sample [rad²]; zero unless a rate is missing."""
     ended: float
-    """The same of the whole gap that this sample ends [rad²]; zero unless it ends one."""
+    """Variance of the unmeasured rotation in a gap that this sample ends [rad²]; otherwise zero."""
     dt: float
     """Sample period [s]."""
 
 
 def initial_samples(rows: int) -> NDArray[np.void]:
-    """Records of `SAMPLES` before the first sample, (rows,)."""
+    """Return records of `SAMPLES` before the first sample, (rows,)."""
     samples = np.zeros(rows, SAMPLES)
     samples["age"] = np.inf
     return samples
@@ -69,10 +70,10 @@ def initial_samples(rows: int) -> NDArray[np.void]:
 
 @njit
 def turned_unseen(age):
-    """Variance of the turn that a rate repeated for the time `age` [s] does not predict [rad²].
+    """Return the variance of the prediction error if a rate is repeated for a time `age` [s], in rad².
 
-    The standard deviation grows with the square of time at first, while the rate is still about the last, and
-    later with time.
+    The standard deviation grows first with the square of time, while the rate is close to the last one, and
+    later linearly.
     """
     sigma = GAP_RATE * age * age / (age + HOLD_S)
     return sigma * sigma
@@ -80,12 +81,13 @@ def turned_unseen(age):
 
 @njit(error_model="numpy")
 def reacquire(tilt_variance, sample):
-    """What a filter of fixed gain does about a gap: the share of the tilt's error that a sample takes back.
+    """Return the share of the tilt error that a filter with fixed gain corrects in a sample after a gap.
 
-    A Kalman filter of that error alone. A filter with a covariance of its own adds `unseen` to it instead.
+    The share is the gain of a scalar Kalman filter of this error. Filters with their own covariance add
+    `unseen` to it instead.
 
     Returns:
-        The share, and what is left of the tilt's variance [rad²].
+        The share, and the remaining variance of the tilt [rad²].
     """
     variance = tilt_variance + sample.unseen
     share = variance / (variance + REACQUISITION_NOISE * REACQUISITION_NOISE / sample.dt)
@@ -95,7 +97,7 @@ def reacquire(tilt_variance, sample):
 
 @njit
 def sum_of_squares(rotor_vel, i, t):
-    """`Sample.rotor_square` of flight i and sample t, of rotor speeds (n, T, rotors) [rad/s]."""
+    """Return `Sample.rotor_square` of flight i and sample t, for rotor speeds (n, T, rotors) [rad/s]."""
     total = 0.0
     for k in range(rotor_vel.shape[2]):
         if not speed_usable(rotor_vel[i, t, k]):
@@ -106,10 +108,10 @@ def sum_of_squares(rotor_vel, i, t):
 
 @njit(forceinline=True)
 def sanitise_sample(state, dt, gyro, accel, rotor_vel, i, t):
-    """The `Sample` to use for one that may be missing: the last good rate, specific force zero.
+    """Return a valid `Sample`: a missing rate becomes the last valid one, a missing specific force zero.
 
-    A rate that jumps as no vehicle can turn is taken for missing, until it has lasted. `state` is the record
-    of `SAMPLES` of flight i, and is updated; t is the sample; the arrays are those of `driver`.
+    A rate that jumps implausibly counts as missing until it has lasted. `state` is the record of `SAMPLES` of
+    flight i and is updated; t is the sample; the arrays are those of `driver`.
     """
     gx, gy, gz = gyro[i, t, 0], gyro[i, t, 1], gyro[i, t, 2]
     ax, ay, az = accel[i, t, 0], accel[i, t, 1], accel[i, t, 2]
@@ -141,9 +143,9 @@ def sanitise_sample(state, dt, gyro, accel, rotor_vel, i, t):
 
 @njit(cache=True, nogil=True)
 def squared_error(estimate, truth):
-    """Squared errors of roll and pitch (n, T, 2) [rad], summed over each flight (n,) [rad²].
+    """Return the squared errors of roll and pitch (n, T, 2) [rad], summed over each flight (n,) [rad²].
 
-    They are `WORST` where the estimate is no number, and 0 where the truth is not known.
+    The error is `WORST` where the estimate is not a number, and 0 where the truth is not known.
     """
     total = np.zeros(estimate.shape[0])
     for i in range(estimate.shape[0]):
@@ -158,7 +160,7 @@ def squared_error(estimate, truth):
 
 @njit(forceinline=True, error_model="numpy")
 def run_all(step, states, samples, params, dt, gyro, accel, rotor_vel, out):
-    """Run every vehicle over all its samples, the whole of a filter's `run`; arguments as in `driver`."""
+    """Process all samples of all vehicles, as the `run` of a filter; the arguments are those of `driver`."""
     p = params[0]
     for i in range(states.shape[0]):
         s = states[i]
@@ -173,10 +175,10 @@ def run_all(step, states, samples, params, dt, gyro, accel, rotor_vel, out):
 
 @njit(cache=True, nogil=True)
 def sanitise(samples, dt, gyro, accel):
-    """Every sample of whole sequences sanitised, for estimators that are not compiled here.
+    """Sanitise sequences, for estimators of other packages.
 
     Returns:
-        Fields of `Sample`: gyro, mean_gyro and accel (n, T, 3), unseen and ended (n, T).
+        The fields of `Sample`: gyro, mean_gyro and accel (n, T, 3), unseen and ended (n, T).
     """
     rate, mean, force = np.empty_like(gyro), np.empty_like(gyro), np.empty_like(accel)
     unseen, ended = np.empty(gyro.shape[:2]), np.empty(gyro.shape[:2])

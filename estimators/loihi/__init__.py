@@ -1,4 +1,4 @@
-"""Emulated Loihi, all integers: spikes in, spikes out; cores, decay profiles and the limits of the chip."""
+"""The emulated Loihi chip: integer neurons, cores, decay profiles and limits."""
 
 from .layers import LoihiLayer, LoihiNetwork
 

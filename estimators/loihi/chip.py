@@ -1,11 +1,11 @@
-"""Where a network's neurons go on a Loihi chip, and whether they fit.
+"""Placement of a network's neurons on the cores of a Loihi chip.
 
 A chip has 128 cores. The limits of one: 1024 compartments, 128 KiB of synaptic memory, 4096 fan-in and 4096
 fan-out axons (Davies et al. 2018); 32 decay profiles, 16 thresholds and 16 synaptic formats, one for each
 exponent of weights (registers, as in nengo-loihi).
 
-A neuron takes a compartment. The current's decay of one that no spike enters may be any: it shares a profile
-with any neuron of its membrane's decay.
+A neuron takes one compartment. If no spikes enter a neuron, its current decay is arbitrary, so it can share a
+profile with any neuron of the same membrane decay.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ LIMITS = {
     "fan-out axons": 4096,
     "synaptic bits": 128 * 1024 * 8,
 }
-"""What one core holds."""
+"""Limits of one core."""
 _WEIGHT_BITS, _HEADER_BITS, _BLOCK, _WORD_BITS = 8, 10, 64, 64
 _INDEX_BITS = (6, 7, 8, 9, 10)
 ANY = -1
-"""A current's decay that a compartment does not use."""
+"""Marks a current decay that a compartment does not use."""
 
 
 @dataclass(frozen=True)
@@ -43,18 +43,18 @@ class ChipCore:
     """The neurons of one core."""
 
     neurons: dict[int, list[int]]
-    """Layer to the neurons of that layer."""
+    """Neurons on the core, by layer."""
     profiles: int
-    """Distinct (du, dv)."""
+    """Number of distinct decay profiles (du, dv)."""
     thresholds: int
     compartments: int
     synapses: Ints
-    """Synapses of each source on this core, a row for each exponent of weights, from 0 down."""
+    """Number of synapses of each source on this core, with a row per weight exponent, from 0 downwards."""
     fan_out: int = 0
-    """Axons to other cores or to itself."""
+    """Number of axons to other cores and to the same core."""
 
     def used(self) -> dict[str, int]:
-        """How much of each limit is used."""
+        """Use of each limited resource."""
         return {
             "compartments": self.compartments,
             "profiles": self.profiles,
@@ -66,7 +66,7 @@ class ChipCore:
         }
 
     def excess(self) -> str:
-        """The first limit that is exceeded, and by how much; empty where it fits."""
+        """The first exceeded limit, with its values; empty if the core fits."""
         for name, used in self.used().items():
             if used > LIMITS[name]:
                 return f"{used} {name}, a core has {LIMITS[name]}: {used - LIMITS[name]} too many"
@@ -74,21 +74,24 @@ class ChipCore:
 
 
 def distinct_profiles(profiles: Iterable[tuple[int, int]]) -> int:
-    """Fewest decay profiles that serve these (du, dv); `ANY`: a current's decay that is not used."""
+    """Return the smallest number of decay profiles for these (du, dv).
+
+    `ANY` marks an unused current decay.
+    """
     every = set(profiles)
     whole = {each for each in every if ANY not in each}
     return len(whole) + len({dv for du, dv in every if du == ANY} - {dv for _, dv in whole})
 
 
 def synaptic_bits(synapses: Ints, compartments: int) -> int:
-    """Memory of a core's synapses of one format, stored as lists of weight and target for each fan-in axon.
+    """Return the memory of a core's synapses of one format, stored as a list per fan-in axon [bits].
 
-    A weight takes 8 bits, its target 6 to 10; a list is cut into blocks of 64 with a head of 10 bits, padded
-    to words of 64 bits.
+    A weight takes 8 bits and a target 6 to 10 bits. A list is divided into blocks of 64 with a header of 10
+    bits, padded to words of 64 bits.
 
     Args:
         synapses: Number of synapses of each axon, (axons,).
-        compartments: Neurons on the core.
+        compartments: Number of neurons on the core.
     """
     needed = max(compartments - 1, 0).bit_length()
     each = _WEIGHT_BITS + next((bits for bits in _INDEX_BITS if bits >= needed), _INDEX_BITS[-1])
@@ -101,16 +104,16 @@ def synaptic_bits(synapses: Ints, compartments: int) -> int:
 
 
 def partition(layers: Sequence[LoihiLayer]) -> list[ChipCore]:
-    """Place a network: layer after layer, neurons of one profile together, a new core when the last is full.
+    """Place a network on cores, layer by layer, with neurons of the same profile together.
 
     Args:
         layers: From the input to the output.
 
     Returns:
-        The cores in use.
+        The used cores.
 
     Raises:
-        ValueError: A limit of a core or of the chip is exceeded; the message says which, and by how much.
+        ValueError: A limit of a core or of the chip is exceeded; the message gives the limit and the values.
     """
     # sources of spikes as in the emulator: the network's input comes first
     edges = np.cumsum([0, layers[0].w_in.shape[1], *(len(layer.w_in) for layer in layers)])
@@ -137,7 +140,7 @@ def partition(layers: Sequence[LoihiLayer]) -> list[ChipCore]:
 
 
 def _core(part: NDArray[np.void]) -> ChipCore:
-    """A core of some neurons of `_network`."""
+    """Return the core with some neurons of `_network`."""
     synapses = [np.count_nonzero(part["formats"] == k, axis=0) for k in range(1, 2 - WEIGHT_EXP_MIN)]
     return ChipCore(
         {int(k): part["number"][part["layer"] == k].tolist() for k in np.unique(part["layer"])},
@@ -149,7 +152,7 @@ def _core(part: NDArray[np.void]) -> ChipCore:
 
 
 def decay_profiles(layer: LoihiLayer) -> Ints:
-    """(du, dv) of the somas of a layer, (out, 2); du is `ANY` where no spike enters the layer."""
+    """Return (du, dv) of the neurons of a layer, (out, 2); du is `ANY` if no spikes enter the layer."""
     dv = layer.dv
     driven = layer.w_in.shape[1] > 0 or layer.w_rec is not None
     return np.stack([layer.du if driven else np.full_like(dv, ANY), dv], axis=1)

@@ -1,4 +1,4 @@
-"""Layers of neurons on the emulated chip, and a chain of layers that steps together."""
+"""Layers of neurons on the emulated chip, and networks of layers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from .neurons import BIAS_MANT_MAX, DECAY_ONE, VTH_EXP, VTH_MAX, NeuronState, li
 
 WEIGHT_MIN, WEIGHT_MAX = -256, 254
 WEIGHT_EXP_MIN = -6
-"""The chip has exponents from -8 to 7; these are the ones that need no rounding and no more than 16 bits."""
+"""Smallest supported weight exponent. The chip has exponents from -8 to 7; those from -6 to 0 need no
+rounding and at most 16 bits."""
 BIAS_MANT_MIN = -4096
 BIAS_EXP_MAX = 7
 
@@ -28,16 +29,17 @@ class LoihiLayer:
         w_in: Mantissas of the weights from the layer below (from the network's input for the first layer),
             even, -256...254, shape (out, in). None: the layer is driven by its bias alone.
         w_rec: Mantissas of the recurrent weights, shape (out, out). None: no recurrence.
-        du: Effective decay of the current, 0...4096, as those below a scalar or of shape (out,).
+        du: Effective decay of the current, 0...4096. This and the following arguments are scalars or have the
+            shape (out,).
         dv: Effective decay of the membrane, 0...4096.
         vth: Mantissa of the threshold (vth * 64 state units), 0...131071.
         bias_mant: Mantissa of the bias, -4096...4095.
         bias_exp: Exponent of the bias, 0...7.
         exp_in: Exponent of the weights `w_in` into each neuron, -6...0.
-        exp_rec: The same of `w_rec`.
+        exp_rec: Exponent of the weights `w_rec` into each neuron, -6...0.
 
     Raises:
-        ValueError: A shape that does not fit, or a value that the chip cannot hold.
+        ValueError: A shape does not fit, or the chip cannot represent a value.
     """
 
     def __init__(
@@ -67,16 +69,16 @@ class LoihiLayer:
 
 
 class LoihiNetwork:
-    """Layers in a chain, stepped together: in one step every layer reads the spikes of the previous step.
+    """A chain of layers, stepped together: every layer reads the spikes of the previous step.
 
-    After `step`, `u`, `v` and `s` hold the currents, membrane potentials (after reset) and spikes of each
-    layer: a list with one (n, out) array per layer, of int32 and for spikes of int8.
+    After `step`, `u`, `v` and `s` contain currents, membrane potentials (after reset) and spikes: lists with
+    one array (n, out) per layer, int32 or, for spikes, int8.
 
     Args:
         layers: From the input to the output.
 
     Raises:
-        ValueError: No layer, or neighbours whose sizes do not fit.
+        ValueError: There are no layers, or the sizes of neighbours do not fit.
     """
 
     def __init__(self, layers: Sequence[LoihiLayer]) -> None:
@@ -101,20 +103,19 @@ class LoihiNetwork:
     def step(
         self, spikes_in: ArrayLike | None = None, bias_mant: ArrayLike | None = None
     ) -> NDArray[np.int8]:
-        """One step of the whole network.
+        """Run one step of the whole network.
 
         Args:
             spikes_in: Spikes of this step on the network's input, 0 or 1, shape (n, in); they enter the
                 currents of the first layer in the next step. None: no spikes.
-            bias_mant: Bias mantissas of the first layer in this step only, shape (n, out) or (out,).
-                None: the layer's own.
+            bias_mant: Bias mantissas of the first layer in this step only, shape (n, out) or (out,). None:
+                the bias of the layer.
 
         Returns:
             The spikes of the last layer, shape (n, out).
 
         Raises:
-            ValueError: A shape that does not fit, a spike that is not 0 or 1, or a bias that the chip cannot
-                hold.
+            ValueError: A shape does not fit, a spike is not 0 or 1, or the chip cannot represent the bias.
         """
         n, inputs = self._state.first_v.shape
         own = slice(self._edges[1], self._edges[2])

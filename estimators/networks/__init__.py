@@ -1,1 +1,1 @@
-"""Networks: scaled readings of the IMU go in, roll and pitch come out; weights from safetensors files."""
+"""Networks of layers, from scaled IMU readings to roll and pitch; weights from safetensors files."""

@@ -1,4 +1,4 @@
-"""Few decay profiles instead of one per neuron, so that a network fits on fewer cores."""
+"""Reduction of the number of decay profiles, so that a network fits on fewer cores."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ Array = NDArray[np.float64]
 
 
 def share_profiles(tensors: Tensors, profiles: int = 32, seed: int = 0) -> Tensors:
-    """The weights of a quantised Att-SNN with at most so many distinct (du, dv) on the chip.
+    """Limit the number of distinct (du, dv) of a quantised Att-SNN on the chip.
 
-    Time constants are grouped by their logarithms (k-means, 20 starts). The encoding layer's currents live on
-    the host, so it needs profiles for its membranes alone; the outputs need one. What is left is divided
-    between the two layers so that the logarithms move least.
+    Time constants are grouped by their logarithms (k-means, 20 starts). The currents of the encoding layer
+    are computed on the host, so this layer needs profiles only for its membranes; the outputs need one
+    profile. The remaining profiles are divided between the two layers so that the logarithms change least.
 
     Args:
         tensors: Weights with `syn`, `mem` as the chip's decays.
-        profiles: Of the whole network, at least 3.
-        seed: Of the starts.
+        profiles: Number of profiles of the whole network, at least 3.
+        seed: Seed of the k-means starts.
 
     Raises:
-        ValueError: Fewer profiles.
+        ValueError: There are fewer than 3 profiles.
     """
     if profiles < 3:
         raise ValueError(f"profiles: {profiles}, should be at least 3, one for each layer")
@@ -44,7 +44,7 @@ def share_profiles(tensors: Tensors, profiles: int = 32, seed: int = 0) -> Tenso
 
 
 def _grouped(points: Array, groups: int, seed: int) -> Array:
-    """Each point (n, d) replaced by the centre of its group."""
+    """Replace each point (n, d) by the centre of its group."""
     distinct = np.unique(points, axis=0)
     if len(distinct) <= groups:
         return points

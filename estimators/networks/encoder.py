@@ -1,11 +1,10 @@
-"""The inputs of a network: scaled readings of the IMU as integers, the last good one where one is missing.
+"""The inputs of a network: scaled IMU readings as integers, with the last valid one for a missing one.
 
     x = clip(round(1024 (reading − offset) / range), ±32767) / 1024
 
-A sample is missing where `sanitise` refuses it, and a rate also where it jumps as no vehicle can turn. After
-`HOLD` missing rates the rate is zero, and any rate is taken again. The host does this before the chip; its
-memory is the last good inputs and two counts. Filters do the same at 200 Hz, the rate of the networks
-(`estimators.filters.samples`).
+A sample counts as missing if `sanitise` refuses it, or if a rate jumps implausibly. After `HOLD` missing
+rates, the rate is zero, and any rate is accepted again. The host does this; its state is the last valid
+inputs and counts. At 200 Hz, the rate of the networks, filters do the same (`estimators.filters.samples`).
 """
 
 from __future__ import annotations
@@ -26,16 +25,16 @@ INPUT_ONE = 1024
 """Integer input of the network for a scaled reading of 1.0."""
 INPUT_MAX = 32767
 HOLD = 20
-"""Samples for which a missing rate is the last good one: 0.1 s at 200 Hz."""
+"""Number of samples for which the last valid rate replaces a missing one: 0.1 s at 200 Hz."""
 MISSING, AGE, GOOD, ENCODED = range(READINGS, READINGS + 4)
-"""Places of the counts in an encoder's state, after the last inputs, and the number of its numbers."""
+"""Indices of the counts in an encoder's state, after the last inputs, and the length of the state."""
 
 
 def encoder_fields(number: DTypeLike) -> list[tuple[Any, ...]]:
-    """Fields of an encoder's state.
+    """Return the fields of an encoder's state.
 
-    They are the last integer inputs, how many samples lacked something, how many there have been since the
-    last good rate, and how many good rates there have been since the start or the last gap, up to `HOLD`.
+    The fields are the last integer inputs, the number of incomplete samples, the number of samples since the
+    last valid rate, and the number of valid rates since the start or the last gap, up to `HOLD`.
     """
     return [("inputs", number, READINGS), ("missing", number), ("age", number), ("good", number)]
 
@@ -51,7 +50,7 @@ class Scaling(NamedTuple):
 
 
 def input_scaling(inputs: InputScaling) -> Scaling:
-    """Offset and gain of a network's inputs."""
+    """Return offset and gain of a network's inputs."""
     offset = np.array([0.0, 0.0, 0.0, *inputs.accel_offset])
     return Scaling(offset, INPUT_ONE / np.array([*[inputs.gyro] * 3, *inputs.accel]))
 
@@ -59,13 +58,13 @@ def input_scaling(inputs: InputScaling) -> Scaling:
 def scaled_inputs(
     inputs: InputScaling, gyro: ArrayLike, accel: ArrayLike, state: NDArray[np.void] | None = None
 ) -> Array:
-    """Inputs of the network.
+    """Compute the inputs of a network.
 
     Args:
-        inputs: Offsets and ranges.
+        inputs: Offsets and ranges of the scaling.
         gyro: Body rate (n, T, 3) [rad/s].
         accel: Specific force (n, T, 3) [m/s²].
-        state: State of the encoder, `ENCODER` (n,), changed in place; None: a new one.
+        state: State of the encoder, `ENCODER` (n,), changed in place; None starts a new one.
 
     Returns:
         The inputs (n, T, 6) in steps of 1/1024.
@@ -84,7 +83,7 @@ def _integer(value, gain):
 
 @njit
 def encode_sample(gyro, accel, scaling, state):
-    """Scale one sample, (3,) [rad/s] and (3,) [m/s²], into the numbers of an encoder's state."""
+    """Scale one sample, (3,) [rad/s] and (3,) [m/s²], and update the state of an encoder."""
     rate_found = rate_usable(gyro[0], gyro[1], gyro[2])
     force_found = force_usable(accel[0], accel[1], accel[2])
     if state[AGE] < state[GOOD]:
@@ -110,13 +109,13 @@ def encode_sample(gyro, accel, scaling, state):
 
 @njit(inline="always")
 def resumed(state):
-    """Whether the last sample had the first good rate after `HOLD` missing ones, or the first of all."""
+    """Return whether the last sample had the first valid rate, at the start or after `HOLD` missing ones."""
     return state[AGE] == 0 and state[GOOD] == 1
 
 
 @njit(cache=True)
 def encode(gyro, accel, scaling, state, x):
-    """Write the inputs (n, T, 6) of readings (n, T, 3) twice, and change the numbers of the states."""
+    """Write the inputs (n, T, 6) for readings of both sensors (n, T, 3), and update the states."""
     for n in range(gyro.shape[0]):
         for t in range(gyro.shape[1]):
             encode_sample(gyro[n, t], accel[n, t], scaling, state[n])

@@ -1,13 +1,15 @@
 """Att-SNN, compiled: 6 inputs -> LIF -> recurrent LIF -> 2 leaky integrators (LI).
 
-A controller is the same network with 9 inputs and 3 outputs: set-points follow the readings.
+A controller is the same network with 9 inputs (readings, then set-points) and 3 outputs.
 
-The step of all neurons is `estimators.loihi.neurons.step`: a quantised network runs in the integers of the
-chip, others in floats. The encoding layer's current is the host's; the input of the same step drives it:
+The step of all neurons is `estimators.loihi.neurons.step`. A quantised network runs in the integers of the
+chip; other networks run in floats. The host computes the current of the encoding layer from the input of the
+same step:
 
     u[t] = D(u[t-1], τ_syn) + W x[t]
 
-On the chip it arrives as a bias, rounded toward zero to steps of 16 state units. The outputs never spike.
+On the chip, this current arrives as a bias, rounded toward zero to steps of 16 state units. The outputs never
+spike.
 """
 
 from __future__ import annotations
@@ -41,20 +43,20 @@ from .weights_file import READINGS, NetworkConfig, Tensors
 
 Array = NDArray[np.float64]
 BIAS_EXP = 4
-"""Exponent of the bias by which the host drives the encoding layer: steps of 2^4 state units."""
+"""Exponent of the bias with which the host drives the encoding layer, in steps of 2^4 state units."""
 
 
 class PackedWeights(NamedTuple):
-    """A network as its kernels take it: neurons in a row, encoding, hidden, outputs."""
+    """Weights in the layout of the kernels; the neurons are in the order encoding, hidden, outputs."""
 
     encoders: NDArray[np.int32] | Array
-    """Weights for integer inputs by source, and in the last row the decays, (inputs + 1, h0)."""
+    """Weights for integer inputs by source, with the decays in the last row, (inputs + 1, h0)."""
     table: NDArray[np.int32] | Array  #: rows of `neurons_of`
     weights: NDArray[np.int16] | NDArray[np.floating]  #: see `Neurons`
 
 
 def real_weights(config: NetworkConfig, tensors: Tensors) -> Weights[Array]:
-    """Weights and time constants of a spiking network in units of 1.0."""
+    """Return weights and time constants of a spiking network in units of 1.0."""
     tensors = complete(tensors, config.quantised)
     values = {name: value.astype(np.float64) for name, value in tensors.items()}
     if config.quantised:
@@ -65,7 +67,7 @@ def real_weights(config: NetworkConfig, tensors: Tensors) -> Weights[Array]:
 
 
 def packed(w: Weights[Any], quantised: bool, recurrent_delay: int = 1) -> PackedWeights:
-    """Weights for the kernels; floats keep the type of the weights between neurons."""
+    """Convert weights to the layout of the kernels; floats keep the type of the weights between neurons."""
     (h1, h0), outputs = w.w_ff.shape, len(w.w_out)
     weights = np.zeros((recurrent_delay, h0 + h1, h1 + outputs), w.w_ff.dtype)
     weights[0, :h0, :h1], weights[0, h0:, h1:], weights[-1, h0:, :h1] = w.w_ff.T, w.w_out.T, w.w_rec.T
@@ -86,7 +88,7 @@ def packed(w: Weights[Any], quantised: bool, recurrent_delay: int = 1) -> Packed
 
 
 class Spiking:
-    """Att-SNN, with the numbers of the chip where it is quantised; a `NetworkCore`."""
+    """Att-SNN as a `NetworkCore`; a quantised network computes in the integers of the chip."""
 
     def __init__(self, config: NetworkConfig, tensors: Tensors) -> None:
         one = float(STATE_ONE) if config.quantised else 1.0
@@ -104,11 +106,11 @@ class Spiking:
         self.arrays, self.kernel = (settings, *weights), run_spiking
 
     def spikes(self, states: NDArray[np.void]) -> NDArray[np.bool_]:
-        """Which neurons spiked in the last step, from records (n,): (n, neurons)."""
+        """Return which neurons spiked in the last step, from records (n,), shape (n, neurons)."""
         return states["v"] > self.weights.table[2]
 
     def active(self, states: NDArray[np.void]) -> NDArray[np.bool_]:
-        """Which neurons had a current, a potential or a bias of the chip in the last step: (n, neurons)."""
+        """Return which neurons had a current, a potential or a bias in the last step, (n, neurons)."""
         used, first = states["v"] != 0, self.sizes[0]
         used[:, :first] |= np.abs(states["current"]) >= 1 << BIAS_EXP
         used[:, first:] |= states["u"] != 0
@@ -117,16 +119,16 @@ class Spiking:
 
 @njit(cache=True, nogil=True)
 def run_spiking(gyro, accel, set_points, settings, encoders, table, weights, states, out):
-    """Run n copies over whole sequences, or one sample, from and to their states.
+    """Run n copies over sequences of T samples, and update their states.
 
     Args:
-        gyro: Body rate, one sample after the other, shape (n, 3 T) [rad/s].
-        accel: Specific force, the same shape [m/s²].
-        set_points: A controller's further inputs, integers, shape (n, 3 T); of others not read.
+        gyro: Body rate, sample after sample, shape (n, 3 T) [rad/s].
+        accel: Specific force, same shape [m/s²].
+        set_points: For a controller, integer set-points, shape (n, 3 T); otherwise not read.
         settings: The scaling of the readings, (12,), and the unit of the outputs.
-        encoders: As the next two a part of `PackedWeights`.
-        table: Of the neurons.
-        weights: Between neurons.
+        encoders: Part of `PackedWeights`.
+        table: Table of the neurons, part of `PackedWeights`.
+        weights: Weights between neurons, part of `PackedWeights`.
         states: Numbers of records of `Spiking.state`, shape (n, words); changed.
         out: Outputs after each sample, shape (n, outputs T); written.
     """
@@ -164,14 +166,14 @@ def run_spiking(gyro, accel, set_points, settings, encoders, table, weights, sta
 
 @njit(inline="always")
 def advance(x, encoders, current, bias, total):
-    """Advance the host's currents of the encoding layer by one step; write what they add to its potentials.
+    """Advance the host's currents of the encoding layer by one step, and write the resulting bias.
 
     Args:
         x: Integer inputs, shape (inputs,), a multiple of 3.
-        encoders: See `PackedWeights`.
+        encoders: Part of `PackedWeights`.
         current: Currents [state units], shape (h0,); changed.
-        bias: What they add, shape (h0,); written.
-        total: Zeros, (h0,), to add in; zeros again afterwards.
+        bias: Addition to the potentials, shape (h0,); written.
+        total: Zeros (h0,), as temporary storage; zeros again afterwards.
     """
     for k in range(0, x.size, 3):
         x0, x1, x2 = x[k], x[k + 1], x[k + 2]
@@ -188,26 +190,27 @@ _products = either(
     lambda a, w, b, y, c, z: w * a + y * b + z * c,
     lambda a, w, b, y, c, z: np.int32(np.int32(np.int32(a * w) + np.int32(b * y)) + np.int32(c * z)),
 )
-"""The sum of three products."""
+"""Returns the sum of three products."""
 # Mantissas of 1/256 times inputs of 1/1024 are 2^-18; a state unit is 2^-14.
 _driven = either(
     lambda current, d, total: current * d + total,
     lambda current, d, total: wrap(np.int32(decay(current, d) + shift(total, 4)), 23),
 )
-"""The current of an encoding neuron after a step."""
+"""Returns the current of an encoding neuron after a step."""
 _bias = either(
     lambda current: current,
     lambda current: np.int32(min(max(shift(current, BIAS_EXP), -_LARGEST), _LARGEST) << BIAS_EXP),
 )
-"""What it adds to the potential."""
+"""Returns the addition of a current to the potential."""
 _LARGEST = np.int32(BIAS_MANT_MAX)
 
 
 class OnLoihi(Spiking):
-    """Att-SNN in integers: the encoding current on the host, all that spikes and the outputs on the chip.
+    """Att-SNN in integers: the encoding currents on the host, all neurons on the chip.
 
     Raises:
-        ValueError: The network is not quantised, not in the chip's time convention, or does not fit.
+        ValueError: The network is not quantised, does not have the chip's time convention, or does not fit
+            the chip.
     """
 
     def __init__(self, config: NetworkConfig, tensors: Tensors) -> None:
@@ -219,7 +222,7 @@ class OnLoihi(Spiking):
 
 
 def chip_layers(config: NetworkConfig, tensors: Tensors) -> list[LoihiLayer]:
-    """The populations of a quantised network: encoding, hidden, outputs."""
+    """Return the layers of a quantised network: encoding, hidden, outputs."""
     w = {name: value.astype(np.int64) for name, value in tensors.items()}
     encoding, hidden, outputs = (of_layer(w, layer) for layer in ("encoding", "hidden", "outputs"))
     encoding["w_in"] = np.zeros((config.encoding, 0), np.int64)  # its inputs stay on the host

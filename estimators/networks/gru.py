@@ -5,7 +5,7 @@
     n = tanh(W_in x + b_in + r (W_hn h + b_hn))
     h ← (1 - z) n + z h
 
-Every sum is taken in the order of the inputs, with products contracted (`fma`).
+Sums are computed in the order of the inputs, with fused multiply-add (`fma`).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from .weights_file import READINGS, NetworkConfig, Tensors
 
 _HALF = np.float32(0.5)
 _TANH_ONE = np.float32(7.90531110763549805)
-"""From here on tanh is 1."""
+"""Argument from which tanh is 1 in float32."""
 _P1, _P3, _P5, _P7, _P9, _P11, _P13 = (
     np.float32(value)
     for value in (
@@ -39,10 +39,10 @@ _Q0, _Q2, _Q4, _Q6 = (
 
 
 class Recurrent:
-    """Att-RNN: two GRU layers and a linear output, in float32; a `NetworkCore`."""
+    """Two GRU layers and a linear output in float32, a `NetworkCore`."""
 
     def __init__(self, config: NetworkConfig, tensors: Tensors) -> None:
-        """Lay the weights out for the kernel: by source, each bias in the row after its weights."""
+        """Arrange the weights for the kernel: by source, with each bias in the row after its weights."""
         kinds = ("weight_ih", "bias_ih", "weight_hh", "bias_hh")
         parts = [[f"gru.{kind}_l{layer}" for kind in kinds] for layer in (0, 1)]
         parts.append(["out.weight", "out.bias"])
@@ -57,10 +57,10 @@ class Recurrent:
 
 @njit(cache=True, inline="always", error_model="numpy", fastmath={"contract"})
 def tanh(x):
-    """Hyperbolic tangent in float32, to 3e-7 of its value.
+    """Compute the hyperbolic tangent in float32, with a relative error of 3e-7.
 
-    The rational function of Eigen (`generic_fast_tanh_float`), degrees 13 and 6: unlike the C library's, the
-    compiler computes it for many numbers at once.
+    The function is Eigen's rational approximation (`generic_fast_tanh_float`) of degrees 13 and 6, which the
+    compiler can vectorise.
     """
     x = min(max(x, -_TANH_ONE), _TANH_ONE)
     y = x * x
@@ -75,7 +75,7 @@ def _sigmoid(x):
 
 @njit(fastmath={"contract"})
 def _affine(x, rows, out):
-    """Write bias + x weight into `out`; weights by source, and the bias, are the rows of a matrix."""
+    """Write bias + x weight to `out`; the rows of the matrix are weights by source and the bias."""
     bias = rows[x.size]
     for i in range(out.size):
         out[i] = bias[i]
@@ -87,7 +87,7 @@ def _affine(x, rows, out):
 
 @njit(error_model="numpy", fastmath={"contract"})
 def _advance(x, h, rows, from_x, from_h):
-    """Advance the state h of a layer by an input x; the others are room for the two products."""
+    """Advance the state h of a layer by an input x; the last arguments are temporary storage."""
     units = h.size
     _affine(x, rows, from_x)
     _affine(h, rows[x.size + 1 :], from_h)
@@ -99,16 +99,16 @@ def _advance(x, h, rows, from_x, from_h):
 
 @njit(cache=True, nogil=True)
 def run_gru(gyro, accel, set_points, settings, first, second, readout, states, out):
-    """Run n copies over whole sequences, or one sample, from and to their states; see `NetworkCore`.
+    """Run n copies over sequences and update their states, with the signature of `NetworkCore.kernel`.
 
     Args:
-        gyro: Body rate, one sample after the other, shape (n, 3 T) [rad/s].
-        accel: Specific force, the same shape [m/s²].
+        gyro: Body rate, sample after sample, shape (n, 3 T) [rad/s].
+        accel: Specific force, same shape [m/s²].
         set_points: Not read.
         settings: The scaling of the readings, (12,), and the scale of the output.
-        first: Rows of a layer as `_affine` takes them, for its input and then for its state.
-        second: The same of the second.
-        readout: The same of the output, (units + 1, outputs).
+        first: Matrices of the first layer for `_affine`: for the input, then for the state.
+        second: Matrices of the second layer.
+        readout: Matrix of the output, (units + 1, outputs).
         states: Numbers of records of `Recurrent.state`, shape (n, words); changed.
         out: Outputs after each sample, shape (n, outputs T); written.
     """

@@ -1,6 +1,7 @@
-"""What Att-SNN has for each synapse and neuron: one table, which files, chip, training and exports read.
+"""Parameters of Att-SNN's synapses and neurons: a table for files, chip, training and exports.
 
-A new parameter is a row of `PARAMETERS` and, if the kernels read it in units of 1.0, a field of `Weights`.
+To add a parameter, add a row to `PARAMETERS` and, if the kernels need it in units of 1.0, a field to
+`Weights`.
 """
 
 from __future__ import annotations
@@ -18,33 +19,33 @@ Values = TypeVar("Values")
 
 
 class Kind(NamedTuple):
-    """Whole numbers on the chip and in its files; in units of 1.0 they are zero + slope times the number."""
+    """Conversion of whole numbers on the chip and in files to units of 1.0: zero + slope × number."""
 
     low: int  #: smallest number
     high: int  #: largest number
     slope: float
     zero: float
     in_c: Callable[[Any], Any]
-    """What the C code reads in place of a number."""
+    """Number in the C code instead of the number in the file."""
 
     @property
     def step(self) -> float:
-        """Distance of two values in units of 1.0."""
+        """Difference between two neighbouring values in units of 1.0."""
         return abs(self.slope)
 
     def real(self, whole: Any) -> Any:
-        """Values in units of 1.0 of numbers, arrays or tensors."""
+        """Convert whole numbers, arrays or tensors to units of 1.0."""
         return self.zero + self.slope * whole
 
     def whole(self, real: Any) -> Any:
-        """Numbers, not rounded, of values in units of 1.0."""
+        """Convert values in units of 1.0 to numbers, without rounding."""
         return (real - self.zero) / self.slope
 
 
 WEIGHT = Kind(WEIGHT_MIN, WEIGHT_MAX, 1 / 256, 0.0, lambda mantissa: mantissa // 2)
-"""Even mantissas; the value is times 2 to the power of the row's exponent."""
+"""Even mantissas, which are multiplied by 2 to the power of the exponent of the row."""
 DECAY = Kind(1, DECAY_ONE, -1 / DECAY_ONE, 1.0, lambda decay: (DECAY_ONE - decay) << 19)
-"""Decays; the value is the time constant τ."""
+"""Decays, whose values in units of 1.0 are time constants τ."""
 EXPONENT = Kind(WEIGHT_EXP_MIN, 0, 1.0, 0.0, lambda exponent: 1 << (7 + exponent))
 
 
@@ -52,16 +53,16 @@ class Parameter(NamedTuple):
     """One tensor of the network."""
 
     layer: str
-    """Layer of the neurons that have it: encoding, hidden or outputs."""
+    """Layer of the neurons with this parameter: encoding, hidden or outputs."""
     role: str
-    """The argument of `LoihiLayer` that it is."""
+    """Corresponding argument of `LoihiLayer`."""
     kind: Kind
     axes: tuple[str, ...]
-    """What its rows and columns are; "one" is a single number for the layer."""
+    """Meaning of rows and columns; "one" is a single number for the layer."""
     first: float = 0.0
-    """Value before training, of a file without it, and of every neuron in the paper's published code."""
+    """Initial value, which is also that of files without the parameter and of the paper's published code."""
     optional: bool = False
-    """Whether a file may lack it."""
+    """Whether a file may omit the parameter."""
 
 
 PARAMETERS = {
@@ -78,9 +79,9 @@ PARAMETERS = {
     "exp_ff": Parameter("hidden", "exp_in", EXPONENT, ("hidden",), optional=True),
     "exp_rec": Parameter("hidden", "exp_rec", EXPONENT, ("hidden",), optional=True),
 }
-"""Tensors of Att-SNN by their names in a file; exponents only of a quantised network."""
+"""Tensors of Att-SNN by their names in a file; only quantised networks have exponents."""
 EXPONENTS = {"w_ff": "exp_ff", "w_rec": "exp_rec"}
-"""Exponents of the weights into each hidden neuron by the name of the weights."""
+"""Name of the exponents of the weights into each hidden neuron, by the name of the weights."""
 THRESHOLD = 0.5
 THRESHOLDS = {"encoding": THRESHOLD, "hidden": THRESHOLD, "outputs": np.inf}
 """Thresholds of the neurons of each layer; the outputs never spike."""
@@ -106,13 +107,13 @@ NEURON_CONSTANTS = tuple(name for name in Weights._fields if name not in MATRICE
 
 
 def of_layer(values: Mapping[str, Values], layer: str) -> dict[str, Values]:
-    """Those of the values, which have the names of `PARAMETERS`, that belong to a layer, by role."""
+    """Return the values that belong to a layer, by role; the input is by the names of `PARAMETERS`."""
     mine = {name: each for name, each in PARAMETERS.items() if each.layer == layer}
     return {each.role: values[name] for name, each in mine.items() if name in values}
 
 
 def complete(tensors: Mapping[str, NDArray[Any]], whole: bool = True) -> dict[str, NDArray[Any]]:
-    """The tensors of a network, whole numbers or not; those that its file lacks have their first values."""
+    """Return all tensors of a network; tensors that its file omits have their initial values."""
     sizes, found = {"encoding": len(tensors["w_in"]), "hidden": len(tensors["w_ff"])}, dict(tensors)
     for name, each in PARAMETERS.items():
         if each.optional and name not in tensors:

@@ -1,8 +1,8 @@
-"""Trained networks as estimators: Att-SNN, in Loihi's integers or in floats, and its twin Att-RNN.
+"""Trained networks of layers as estimators: Att-SNN, in Loihi's integers or in floats, and Att-RNN.
 
-A network gets scaled readings and nothing else (`estimators.networks.encoder`): there is no filter in front
-of it and no connection from its inputs to its outputs beside the neurons. As in the paper, it never
-gets the initial attitude. Nothing here imports torch: inference is compiled.
+The only inputs of a network are scaled readings (`estimators.networks.encoder`): there is no filter before
+the network, and inputs reach outputs only through neurons. As in the paper, a network is never given the
+initial attitude. Inference is compiled and does not need PyTorch.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from .weights_file import SET_POINTS, NetworkConfig, Tensors, attitude_network
 Array = NDArray[np.float64]
 NO_SET_POINTS = np.zeros((0, 0))
 LEVEL_UP = np.array([0.0, 0.0, 1.0])
-"""The world's up in body axes at a level attitude."""
+"""Direction of the world's z axis in body axes at a level attitude."""
 
 
 def create_network(name: str, rate_hz: float = 200.0, *, weights: str | Path) -> NetworkEstimator:
     """Make an estimator that runs a network of layers.
 
     Args:
-        name: "att-snn", "att-snn-loihi" (which has to fit the chip) or "att-rnn".
-        rate_hz: Samples per second; the one that the weights were trained for.
-        weights: Weights file, or the name of some that ship.
+        name: "att-snn", "att-snn-loihi" (which must fit the chip) or "att-rnn".
+        rate_hz: Samples per second, which must be the rate of the training.
+        weights: Weights file, or a shipped name.
 
     Raises:
-        FileNotFoundError: No such file.
-        ValueError: Unknown name, a file of another kind of network, or another sample rate.
+        FileNotFoundError: The file does not exist.
+        ValueError: The name is unknown, or the file has another kind of network or another sample rate.
     """
     if name not in CORES:
         raise ValueError(f"no network {name!r}, there are att-snn, att-snn-loihi and att-rnn")
@@ -51,18 +51,19 @@ def create_network(name: str, rate_hz: float = 200.0, *, weights: str | Path) ->
 
 
 class NetworkCore(Protocol):
-    """A network without memory of its own: states go in, are changed, and outputs come back."""
+    """A network without its own state: the kernel reads and changes states, and writes outputs."""
 
     state: np.dtype
-    """Record type of a vehicle's state, whose numbers are all of one type; `encoder_fields` come first."""
+    """Record type of a vehicle's state. All numbers have the same type; `encoder_fields` come first."""
     outputs: int
-    """2: roll and pitch [rad]; 3: the world's up in body axes, less `LEVEL_UP`, or angular acceleration."""
+    """Number of outputs. 2: roll and pitch [rad]. 3: the world's z axis in body axes minus `LEVEL_UP`, or
+    angular acceleration."""
     arrays: tuple[Any, ...]
-    """What the kernel needs to know of it."""
+    """Parameters for the kernel."""
     kernel: Callable[..., None]
-    """Compiled: takes T samples of n vehicles, body rate [rad/s] and specific force [m/s²], one sample after
-    the other, (n, 3 T), and a controller's further inputs, integers (n, 3 T); the arrays; and the numbers of
-    the vehicles' states (n, words), which it changes. It writes outputs (n, outputs T)."""
+    """Compiled function for T samples of n vehicles. Its arguments are body rate [rad/s] and specific force
+    [m/s²], sample after sample, (n, 3 T); integer set-points of a controller (n, 3 T); the arrays; the states
+    (n, words), which it changes; and the outputs (n, outputs T), which it writes."""
 
 
 CORES: dict[str, Callable[[NetworkConfig, Tensors], NetworkCore]] = {
@@ -73,13 +74,13 @@ CORES: dict[str, Callable[[NetworkConfig, Tensors], NetworkCore]] = {
 
 
 def zero_states(core: NetworkCore, n: int) -> NDArray[Any]:
-    """States of n vehicles at rest, as rows of numbers."""
+    """Return initial states of n vehicles, as rows of numbers."""
     number = core.state["missing"]
     return np.zeros((n, core.state.itemsize // number.itemsize), number)
 
 
 class BatchedNetwork:
-    """A network that runs for n vehicles, each with its own state; what estimators and controllers share.
+    """A network for n vehicles, each with its own state; the common part of estimators and controllers.
 
     Args:
         core: The network.
@@ -90,25 +91,25 @@ class BatchedNetwork:
         self.core, self.rate_hz = core, rate_hz
 
     def begin(self, n: int) -> None:
-        """Start n vehicles at rest."""
+        """Start n vehicles."""
         self._states = zero_states(self.core, n)
 
     def _begin_again(self, ids: ArrayLike) -> NDArray[np.intp]:
-        """Start some of the vehicles again; their rows."""
+        """Restart some vehicles, and return their indices."""
         rows = rows_of(ids, len(self._states))
         self._states[rows] = 0
         return rows
 
     def outputs(self, gyro: ArrayLike, accel: ArrayLike, set_points: Array = NO_SET_POINTS) -> Array:
-        """Take T samples.
+        """Process T samples.
 
         Args:
             gyro: Body rate (n, T, 3) [rad/s].
             accel: Specific force (n, T, 3) [m/s²].
-            set_points: A controller's further inputs, integers, (n, T, 3).
+            set_points: For a controller, integer set-points (n, T, 3).
 
         Returns:
-            What the output neurons have after each, (n, T, outputs).
+            Outputs after each sample, (n, T, outputs).
         """
         gyro, accel = np.ascontiguousarray(gyro, np.float64), np.ascontiguousarray(accel, np.float64)
         n = len(self._states)
@@ -123,39 +124,39 @@ class BatchedNetwork:
 
     @property
     def states(self) -> NDArray[np.void]:
-        """What the network keeps from sample to sample: records (n,), of the core's `state`."""
+        """State of the network, records (n,) of the core's `state`."""
         return self._states.view(self.core.state)[:, 0]
 
     @property
     def skipped(self) -> NDArray[np.int64]:
-        """Samples since the start that were missing in part or whole, shape (n,)."""
+        """Number of incomplete samples since the start, shape (n,)."""
         return self.states["missing"].astype(np.int64)
 
 
 class NetworkEstimator(BatchedNetwork):
     """A network that estimates the attitude of n vehicles.
 
-    A network never gets the initial attitude, as in the paper: `reset` and `restart` accept one, as those of
-    every estimator do, and ignore it.
+    As in the paper, a network is never given the initial attitude: `reset` and `restart` accept one, but
+    ignore it.
     """
 
     up: Array | None
-    """The world's up in body axes as estimated last, shape (n, 3), not scaled to length 1; that of a level
-    attitude before the first sample. None for a network of layers, whose outputs are roll and pitch."""
+    """Last estimate of the world's z axis in body axes, shape (n, 3), not normalised; before the first
+    sample, that of a level attitude. None for a network of layers, whose outputs are roll and pitch."""
 
     def __init__(self, core: NetworkCore, rate_hz: float) -> None:
         super().__init__(core, rate_hz)
         self.reset()
 
     def reset(self, n: int = 1, roll_pitch: ArrayLike | None = None) -> None:
-        """Forget everything and start n vehicles.
+        """Start n vehicles with initial states.
 
         Args:
-            n: How many.
-            roll_pitch: Initial attitude, shape (n, 2) [rad]; ignored.
+            n: Number of vehicles.
+            roll_pitch: Initial attitude, shape (n, 2) [rad], which is ignored.
 
         Raises:
-            ValueError: An initial attitude of another shape, or not finite.
+            ValueError: The initial attitude has the wrong shape or is not finite.
         """
         _check_attitude(roll_pitch, n)
         self.begin(n)
@@ -163,7 +164,7 @@ class NetworkEstimator(BatchedNetwork):
         self.up = np.tile(LEVEL_UP, (n, 1)) if self.core.outputs == 3 else None
 
     def restart(self, ids: ArrayLike, roll_pitch: ArrayLike | None = None) -> None:
-        """Start some of the vehicles again, (k,) of them; an initial attitude (k, 2) is ignored."""
+        """Restart vehicles (k,); an initial attitude (k, 2) is ignored."""
         rows = rows_of(ids, len(self._states))
         _check_attitude(roll_pitch, rows.size)
         self._begin_again(rows)
@@ -171,7 +172,7 @@ class NetworkEstimator(BatchedNetwork):
             self.up[rows] = LEVEL_UP
 
     def update(self, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]) -> Array:
-        """Take one sample, (n, 3) [rad/s] and (n, 3) [m/s²]; roll and pitch (n, 2) [rad]."""
+        """Process one sample, (n, 3) [rad/s] and (n, 3) [m/s²]; return roll and pitch (n, 2) [rad]."""
         gyro, accel = np.ascontiguousarray(gyro, np.float64), np.ascontiguousarray(accel, np.float64)
         if gyro.shape != self._sample or accel.shape != self._sample:
             raise ValueError(f"sample: gyro {gyro.shape} and accel {accel.shape}, should be {self._sample}")
@@ -184,7 +185,7 @@ class NetworkEstimator(BatchedNetwork):
         return roll_pitch
 
     def sequence(self, gyro: ArrayLike, accel: ArrayLike, **sensors: Unpack[OtherSensors]) -> Array:
-        """Take T samples, (n, T, 3) twice; the same numbers as T calls of `update`, (n, T, 2)."""
+        """Process T samples, (n, T, 3) each; return the results of T calls of `update`, (n, T, 2)."""
         out = self.outputs(gyro, accel)
         if self.up is not None and out.shape[1]:
             self.up = out[:, -1] + LEVEL_UP
@@ -192,15 +193,15 @@ class NetworkEstimator(BatchedNetwork):
 
 
 def roll_pitch_of_outputs(outputs: Array) -> Array:
-    """Roll and pitch (..., 2) [rad] of a network's outputs: these are the two, or up less level (..., 3)."""
+    """Return roll and pitch (..., 2) [rad] of outputs, (..., 2) or (..., 3) as in `NetworkCore`."""
     return outputs if outputs.shape[-1] == 2 else roll_pitch_of_up(outputs + LEVEL_UP)
 
 
 def silenced(config: NetworkConfig, tensors: Tensors) -> Tensors:
-    """The same weights with output weights of zero: the estimate is always level.
+    """Return the weights of the silenced network, whose output weights are zero: its estimate is level.
 
-    The error of that network, the *silenced error*, stands beside every error of a network: what the two have
-    in common is not the work of its neurons.
+    Tables of a network's error also give this *silenced error*. Only the difference is the contribution of
+    the neurons.
     """
     names = ("w_out",) if config.model == "att-snn" else ("out.weight", "out.bias")
     return tensors | {name: np.zeros_like(tensors[name]) for name in names}

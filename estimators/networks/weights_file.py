@@ -1,4 +1,4 @@
-"""Networks on disk: safetensors files that say in their metadata how the network is to be run."""
+"""Weights files: safetensors with the configuration of the network in the metadata."""
 
 from __future__ import annotations
 
@@ -25,23 +25,24 @@ Shapes = dict[str, tuple[int, ...]]
 Config = TypeVar("Config", bound=Strict)
 END = ".safetensors"
 FORMAT = "3"
-"""Version of the files, in their metadata. Files of quadsim 0.1 have none."""
+"""Version of the file format, in the metadata; files of quadsim 0.1 have none."""
 
 
 ForceRange = Annotated[float, Between(1e-3, 1e4, "m/s²")]
 Neurons = Annotated[int, Between(1, 4096)]
 OutputScale = Annotated[float, Between(1e-6, 1e3, "rad")]
 READINGS, SET_POINTS = 6, 3
-"""Inputs of every network, gyroscope first; what a controller has besides: roll, pitch, yaw rate."""
+"""Number of readings of every network, gyroscope first, and of set-points of a controller: roll, pitch, yaw
+rate."""
 CONTROLLER = "control-"
-"""What the names of controllers that ship begin with."""
+"""Prefix of the names of shipped controllers."""
 CIRCUIT = "circuit-1"
-"""Format of files that hold a circuit (`estimators.circuit.file`)."""
+"""Format of files that contain a circuit (`estimators.circuit.file`)."""
 KINDS = {FORMAT: "a network of layers", CIRCUIT: "a circuit"}
 
 
 class InputScaling(Strict):
-    """Scaling of the network's inputs: (reading - offset) / range, gyroscope first."""
+    """Scaling of the inputs of a network: (reading - offset) / range, gyroscope first."""
 
     gyro: Annotated[float, Between(1e-3, 1e4, "rad/s")] = 2.5
     """Body rate that gives an input of 1.0 [rad/s]."""
@@ -77,28 +78,28 @@ class Layers(Strict):
     hidden: Neurons = 100
     """Neurons of the recurrent layer (att-rnn: units of the second GRU)."""
     quantised: bool = True
-    """Weights, decays and states are whole numbers in the chip's ranges (att-snn)."""
+    """Whether weights, decays and states are whole numbers in the ranges of the chip (att-snn)."""
     recurrent_delay: Literal[1, 2] = 1
-    """Steps from a hidden spike to the hidden layer: 1 is the chip's convention, 2 the paper's (att-snn)."""
+    """Delay of the recurrent connections in steps; 1 is the chip's convention, 2 the paper's (att-snn)."""
     outputs: Literal["roll-pitch", "angular-acceleration"] = "roll-pitch"
-    """Roll and pitch [rad] of an attitude estimator, or of a controller, which is trained in flights of its
-    own, angular acceleration, body axes [rad/s²]."""
+    """Outputs: roll and pitch [rad] of an attitude estimator, or angular acceleration in body axes [rad/s²]
+    of a controller."""
 
 
 class NetworkConfig(Layers):
-    """How a network is run, and where its weights come from."""
+    """Configuration of a network, and the origin of its weights."""
 
     model: Literal["att-snn", "att-rnn"]
     rate_hz: SampleRate = 200.0
-    """Samples per second that it was trained for."""
+    """Samples per second of the training."""
     inputs: InputScaling = InputScaling()
     output_scale: OutputScale = 1.0
-    """Radians or rad/s² for an output potential of 1.0."""
+    """Output for a potential of 1.0 [rad or rad/s²]."""
     set_point: SetPointScaling | None = None
-    """Inputs and bounds of a controller, which has the direction of gravity that roll and pitch stand for, as
-    a specific force, in place of the accelerometer's; None: an attitude estimator."""
+    """Scaling and limits of a controller, whose input is the specific force at rest at the estimated attitude
+    instead of the accelerometer's reading; None for an attitude estimator."""
     training: dict[str, JsonValue] = Field(default_factory=dict)
-    """Data, seed, epochs, commit, validation error."""
+    """Training: data, seed, epochs, commit, validation error."""
 
     @model_validator(mode="after")
     def _one_task(self) -> NetworkConfig:
@@ -110,12 +111,12 @@ class NetworkConfig(Layers):
 
     @property
     def controls(self) -> bool:
-        """Whether it is a controller, not an attitude estimator."""
+        """Whether the network is a controller and not an attitude estimator."""
         return self.set_point is not None
 
     @property
     def n_inputs(self) -> int:
-        """Number of inputs: 6 readings, and of a controller 3 set-points after them."""
+        """Number of inputs: 6 readings and, for a controller, 3 set-points."""
         return READINGS + SET_POINTS * self.controls
 
     @property
@@ -125,12 +126,12 @@ class NetworkConfig(Layers):
 
     @property
     def whole(self) -> bool:
-        """Whether its tensors are whole numbers in the chip's ranges."""
+        """Whether the tensors are whole numbers in the ranges of the chip."""
         return self.model == "att-snn" and self.quantised
 
 
 def expected_shapes(config: NetworkConfig) -> Shapes:
-    """Names and shapes of the tensors of a network."""
+    """Return names and shapes of the tensors of a network."""
     h0, h1, out = config.encoding, config.hidden, config.n_outputs
     if config.model == "att-snn":
         sizes = {"inputs": config.n_inputs, "encoding": h0, "hidden": h1, "outputs": out, "one": 1}
@@ -143,7 +144,7 @@ def expected_shapes(config: NetworkConfig) -> Shapes:
 
 
 def parameters(tensors: Mapping[str, NDArray[Any]]) -> int:
-    """Numbers that a network is made of: connections (weights other than 0), time constants and biases."""
+    """Count the parameters of a network: non-zero weights, time constants and biases."""
     return sum(
         int(np.count_nonzero(value)) if name in MATRICES else value.size
         for name, value in tensors.items()
@@ -156,12 +157,12 @@ def save_network(path: str | Path, config: NetworkConfig, tensors: Mapping[str, 
 
     Args:
         path: File to write.
-        config: How to run it.
-        tensors: Its weights. Spiking: float time constants and weights where `quantised` is false; otherwise
-            int16, the whole numbers that `layer_parameters` describes.
+        config: Configuration of the network.
+        tensors: Weights. For a spiking network, float weights and time constants if `quantised` is false;
+            otherwise the int16 numbers that `layer_parameters` describes.
 
     Raises:
-        ValueError: Tensors that do not fit the configuration.
+        ValueError: The tensors do not fit the configuration.
     """
     check_shapes(path, {name: value.shape for name, value in tensors.items()}, *_shapes(config))
     _check_values(path, config, tensors)
@@ -172,7 +173,7 @@ def save_network(path: str | Path, config: NetworkConfig, tensors: Mapping[str, 
 
 
 def ordered(content: bytes) -> bytes:
-    """A safetensors file with the keys of its header sorted; the library's order of metadata is random."""
+    """Sort the keys in the header of a safetensors file, whose order is random."""
     size = int.from_bytes(content[:8], "little")
     header = json.loads(content[8 : 8 + size])
     text = json.dumps(header, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
@@ -180,21 +181,22 @@ def ordered(content: bytes) -> bytes:
 
 
 class Network(NamedTuple):
-    """A network as its file holds it."""
+    """Content of a weights file."""
 
     config: NetworkConfig
     tensors: Tensors
 
 
 def load_network(path: str | Path) -> Network:
-    """Read a network that `save_network` wrote.
+    """Read a network written by `save_network`.
 
     Args:
-        path: The file, or the name of weights that ship, such as "att-snn-paper", controllers included.
+        path: The file, or the shipped name of an estimator's or a controller's weights, such as
+            "att-snn-paper".
 
     Raises:
-        FileNotFoundError: No such file.
-        ValueError: One line: not such a file, or tensors of the wrong shape or type.
+        FileNotFoundError: The file does not exist.
+        ValueError: The file is not a weights file, or a tensor has the wrong shape or type.
     """
     shipped = [*shipped_names(), *shipped_controllers()]
     path = ASSETS / "weights" / f"{path}{END}" if str(path) in shipped else Path(path)
@@ -208,10 +210,10 @@ def load_network(path: str | Path) -> Network:
 def read_tensors(
     path: Path, kind: type[Config], format: str, shapes: Callable[[Config, Shapes], tuple[Shapes, Shapes]]
 ) -> tuple[Config, Tensors]:
-    """Configuration and tensors of a file; `shapes` gives those for `check_shapes`.
+    """Read configuration and tensors of a file; `shapes` returns the shapes for `check_shapes`.
 
     Raises:
-        ValueError: One line: not a file of this format, or other tensors.
+        ValueError: The file has another format or other tensors.
     """
     try:
         with safe_open(path, framework="numpy") as file:
@@ -225,11 +227,11 @@ def read_tensors(
 
 
 def attitude_network(path: str | Path) -> Network:
-    """`load_network` of an attitude estimator.
+    """Read the weights of an attitude estimator with `load_network`.
 
     Raises:
-        FileNotFoundError: No such file.
-        ValueError: One line: as of `load_network`, or a controller.
+        FileNotFoundError: The file does not exist.
+        ValueError: As in `load_network`, or the weights are those of a controller.
     """
     network = load_network(path)
     if network.config.controls:
@@ -238,12 +240,12 @@ def attitude_network(path: str | Path) -> Network:
 
 
 def shipped_names() -> list[str]:
-    """Names of the attitude estimators' weights that ship with the package."""
+    """Return the names of shipped weights of attitude estimators."""
     return [name for name in _shipped() if not name.startswith(CONTROLLER)]
 
 
 def shipped_controllers() -> list[str]:
-    """Names of the controllers' weights that ship with the package."""
+    """Return the names of shipped weights of controllers."""
     return [name for name in _shipped() if name.startswith(CONTROLLER)]
 
 
@@ -265,15 +267,15 @@ def _config_of(path: Path, metadata: Mapping[str, str], kind: type[Config], form
 
 
 def _shapes(config: NetworkConfig) -> tuple[Shapes, Shapes]:
-    """Of the tensors that a network has, and of those that it may have besides."""
+    """Return the shapes of required and of optional tensors."""
     return expected_shapes(config), {name: (config.hidden,) for name in EXPONENTS.values() if config.whole}
 
 
 def check_shapes(path: str | Path, found: Shapes, needed: Shapes, optional: Shapes) -> None:
-    """Compare names and shapes of a file's tensors with what they should be.
+    """Check names and shapes of the tensors in a file.
 
     Raises:
-        ValueError: One line: the first tensor that is missing, unknown or of another shape.
+        ValueError: A tensor is missing, unknown or has the wrong shape; the message names the first one.
     """
     wanted = needed | optional
     if missing := sorted(set(needed) - set(found)):

@@ -1,1 +1,1 @@
-"""Tuning: training flights go in, the parameters of a filter that estimates best on them come out as TOML."""
+"""Tuning: search for the parameters of a filter with the smallest error on training flights."""

@@ -1,9 +1,9 @@
-"""Tuning: search the parameters of a filter that estimates best on training flights.
+"""Search for the parameters of a filter with the smallest error on training flights.
 
-The search lives in the unit cube; `Parameter.at` maps each coordinate to a parameter, mostly by factors
+The search space is the unit cube; `Parameter.at` maps each coordinate to a parameter, mostly logarithmically
 between `low` and `high`. The cost is that of the paper (Stroobants, Dupeyroux, de Croon 2022): the mean
-squared error of roll and pitch per sample [rad²], averaged over flights, and 10 more for a position outside
-the cube, which is scored at the nearest point inside.
+squared error of roll and pitch per sample [rad²], averaged over flights. A position outside the cube is
+scored at the nearest point inside, with a penalty of 10.
 """
 
 import itertools
@@ -36,26 +36,26 @@ from ..tuned import Tuned, load_tuning, to_toml
 Array = NDArray[np.float64]
 Cost = Callable[[Array], Array]
 Progress = Callable[[int, int, float], None]
-"""progress(iterations done, iterations in all, lowest cost so far [rad²])."""
+"""Called as progress(finished iterations, all iterations, lowest cost [rad²])."""
 
 PENALTY = 10.0
-"""Added to the cost of a position outside the unit cube."""
+"""Penalty for a position outside the unit cube."""
 PITCH_MOST = np.radians(75.0)
-"""Samples pitched further are not scored: the error of roll grows without bound towards 90° [rad]."""
+"""Largest true pitch of scored samples [rad]; towards 90°, the error of roll grows without bound."""
 FIRST_SPEED = 0.1
-"""Initial velocities of the swarm are even in ± this."""
+"""Bound of the initial velocities of the swarm, which are uniform in ± this value."""
 
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """How the unit cube is searched."""
+    """Settings of the search."""
 
     method: Literal["swarm", "evolution"] = "swarm"
     """Particle swarm, or differential evolution."""
     particles: int = 100
-    """Parameter sets tried at once."""
+    """Number of parameter sets in the swarm."""
     iterations: int = 50
-    """Evaluations of all particles."""
+    """Number of evaluations of all particles."""
     seed: int = 0
 
 
@@ -64,19 +64,19 @@ class SearchResult:
     """Best position in the unit cube."""
 
     position: Array
-    """(d,)."""
+    """Best position (d,)."""
     cost: float
     evaluations: int
 
 
 def mean_squared_error(name: str, sets: Mapping[str, ArrayLike], flights: Flights, workers: int = 1) -> Array:
-    """Cost of p parameter sets [rad²], shape (p,); infinite for a set whose estimates have a flaw.
+    """Return the cost of p parameter sets [rad²], shape (p,); infinite for sets with flawed estimates.
 
     Args:
         name: Estimator.
-        sets: Parameter name to values (p,); the others keep their default.
-        flights: What to score on.
-        workers: Threads that share the parameter sets of a compiled filter.
+        sets: Values (p,) by parameter name; other parameters have their defaults.
+        flights: The flights.
+        workers: Number of threads for a compiled filter.
     """
     made = [_made(name, flights.rate_hz, each) for each in parameter_sets(sets)]
     with ThreadPoolExecutor(1 if is_custom(name) else workers) as pool:
@@ -88,7 +88,7 @@ def _made(name: str, rate_hz: float, values: Mapping[str, float]) -> AttitudeEst
 
 
 def _error_of(est: AttitudeEstimator, is_of_user: bool, flights: Flights) -> float:
-    """Cost of one estimator; a compiled one runs without the interpreter's lock."""
+    """Return the cost of one estimator; compiled filters run without the interpreter's lock."""
     readings = flights.readings if is_of_user else Readings(flights.gyro, flights.accel)
     estimate = run_quietly(est, readings, flights.start)
     if is_of_user and flaw_of(estimate, flights.truth):
@@ -100,7 +100,7 @@ def _error_of(est: AttitudeEstimator, is_of_user: bool, flights: Flights) -> flo
 def swarm(
     cost: Cost, first: ArrayLike, search: SearchSettings, progress: Progress = lambda *_: None
 ) -> SearchResult:
-    """Particle swarm in the unit cube (Shi & Eberhart 1998), with the paper's weights.
+    """Minimise by a particle swarm in the unit cube (Shi & Eberhart 1998), with the paper's weights.
 
     v ← w v + c1 r1 (own best − x) + c2 r2 (swarm's best − x),  x ← x + v;  w = 0.8, c1 = 0.15, c2 = 0.05.
 
@@ -132,7 +132,7 @@ def swarm(
 def evolution(
     cost: Cost, first: ArrayLike, search: SearchSettings, progress: Progress = lambda *_: None
 ) -> SearchResult:
-    """The same by scipy's differential evolution: a check that the swarm is not in a local minimum."""
+    """Minimise by SciPy's differential evolution, to check that the swarm is not in a local minimum."""
 
     def report(intermediate_result: OptimizeResult) -> None:
         progress(intermediate_result.nit, search.iterations, float(intermediate_result.fun))
@@ -173,16 +173,15 @@ def tune(
         name: Estimator with parameters to search.
         datasets: Training flights; constants of the vehicle and IMU come from the first.
         search: How the parameters are searched.
-        flights: How many of each dataset are used; None for all.
-        pieces: Parts into which each flight is cut, all of which but the first begin in motion.
-        workers: Threads.
-        command: What to write into the result as its origin.
+        flights: Number of flights of each dataset; None for all.
+        pieces: Number of parts of each flight. All parts but the first begin in motion.
+        workers: Number of threads.
+        command: Command to record in the result.
         progress: Called after every iteration.
 
     Raises:
-        ValueError: For an estimator without parameters to search, that receives the truth, or that no
-            parameters give estimates without a flaw; a dataset that is not one, or a seed of a held-out
-            suite.
+        ValueError: The estimator has no parameters to search, receives the truth, or gives flawed estimates
+            with all parameters; or a dataset is invalid, or has or gets a seed of a held-out suite.
     """
     for seed in (search.seed, *(dataset.attrs.get("seed", 0) for dataset in datasets)):
         unreserved(int(seed))
@@ -225,7 +224,7 @@ def tune(
 
 
 def upright(flights: Flights) -> Flights:
-    """The flights with the truth unknown where roll is hardly defined, without those that it never is."""
+    """Mark the truth as unknown where roll is hardly defined, and drop flights without other samples."""
     steep = np.abs(flights.truth[..., 1:]) > PITCH_MOST
     truth = np.where(steep, np.nan, flights.truth)
     known = np.isfinite(truth).any(axis=(1, 2))
@@ -233,7 +232,7 @@ def upright(flights: Flights) -> Flights:
 
 
 def tunable() -> list[str]:
-    """Every estimator worth tuning; filterpy's are left to `write_tuning`."""
+    """Return the estimators that `--estimator all` tunes; `write_tuning` handles filterpy's."""
     return [
         name
         for name in names()
@@ -242,7 +241,10 @@ def tunable() -> list[str]:
 
 
 def flown_on(datasets: Sequence[xr.Dataset]) -> dict[str, str]:
-    """Fields `vehicle` and `imu` of `Tuned`; empty where datasets differ, or the IMU is none that ships."""
+    """Return the fields `vehicle` and `imu` of `Tuned`.
+
+    The fields are empty if datasets differ or the IMU is not a shipped one.
+    """
     vehicles = {vehicle.name if (vehicle := vehicle_of(each)) else "" for each in datasets}
     shipped = [
         name for name in preset_names("imus") if all(load_imu(name) == imu_of(each) for each in datasets)
@@ -251,7 +253,7 @@ def flown_on(datasets: Sequence[xr.Dataset]) -> dict[str, str]:
 
 
 def imu_constants(name: str, dataset: xr.Dataset) -> dict[str, float]:
-    """Parameters known of the IMU rather than searched; none where the dataset does not say which it is."""
+    """Return the parameters that follow from the IMU; none if the IMU of the dataset is not known."""
     imu = imu_of(dataset)
     if name != "ekf-drag" or imu is None:
         return {}
@@ -259,15 +261,15 @@ def imu_constants(name: str, dataset: xr.Dataset) -> dict[str, float]:
 
 
 def write_tuning(path: Path, name: str, tuned: Tuned, comment: str) -> None:
-    """Put one estimator's table into a tuning file; the other tables of the file stay.
+    """Write the table of one estimator to a tuning file; other tables in the file are kept.
 
-    The table of ekf is also that of filterpy's filters, whose model it has and which are far slower.
+    The table of ekf is also written for filterpy's filters, which have the same model and are much slower.
 
     Args:
-        path: TOML file, made if it is not there.
+        path: TOML file, which is created if necessary.
         name: Estimator.
-        tuned: Its parameters.
-        comment: Text for the top of a new file; an old one keeps its own.
+        tuned: The parameters.
+        comment: Comment at the top of a new file.
     """
     found = {name: tuned}
     if name == "ekf":

@@ -1,4 +1,4 @@
-"""Madgwick's filter (2011) by the package `ahrs`, with the package's gain."""
+"""Madgwick's filter (2011) of the package `ahrs`, with the package's default gain."""
 
 import numpy as np
 from ahrs.filters import Madgwick
@@ -7,7 +7,7 @@ from quadsim.rotation import quat_from_roll_pitch, roll_pitch_from_quat
 
 
 class AhrsMadgwick:
-    """Madgwick's filter of the package ahrs, which starts level."""
+    """Madgwick's filter of the package ahrs, which starts at level."""
 
     parameter_count = 1  # beta
 

@@ -1,4 +1,4 @@
-"""The filter of x-io Technologies' Fusion (Madgwick's revised AHRS) by the package `imufusion`."""
+"""The filter of x-io Technologies' Fusion (Madgwick's revised AHRS), from the package `imufusion`."""
 
 import numpy as np
 from imufusion import Ahrs
@@ -9,7 +9,7 @@ G = 9.80665
 
 
 class Fusion:
-    """Fusion's AHRS without magnetometer, with the settings of its package."""
+    """Fusion's AHRS without magnetometer, with the default settings of the package."""
 
     parameter_count = 1  # the gain
 

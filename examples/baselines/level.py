@@ -1,10 +1,10 @@
-"""The level guess: zero roll and pitch. Its error says how far the flights are from level."""
+"""The level guess: zero roll and pitch. Its error shows how far the flights are from level."""
 
 import numpy as np
 
 
 class Level:
-    """Always level: a reference, which is not ranked."""
+    """An estimator that is always level, as a reference."""
 
     operations = 0
 

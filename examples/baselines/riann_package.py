@@ -1,4 +1,4 @@
-"""RIANN (Weber, Gühmann & Seel 2021), a recurrent network, by the ONNX file in its package `riann`."""
+"""RIANN (Weber, Gühmann & Seel 2021), a recurrent network, from the ONNX file in the package `riann`."""
 
 from importlib.resources import files
 

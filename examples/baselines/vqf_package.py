@@ -1,4 +1,4 @@
-"""VQF (Laidig & Seel 2023) by its authors' package `vqf`, with the package's parameters."""
+"""VQF (Laidig & Seel 2023) from its authors' package `vqf`, with the package's default parameters."""
 
 import numpy as np
 from vqf import VQF
@@ -7,7 +7,7 @@ from quadsim.rotation import roll_pitch_from_quat
 
 
 class Vqf:
-    """VQF with the parameters of its package; rests and biases are estimated."""
+    """VQF with the default parameters of its package, including rest detection and bias estimation."""
 
     parameter_count = 5  # tauAcc, and four of the bias
 

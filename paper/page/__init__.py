@@ -1,1 +1,1 @@
-"""The pages: what the paper says, ours beside it, and verdicts."""
+"""The page: the paper's results, quadsim's results, and verdicts on the claims."""

@@ -1,6 +1,6 @@
-"""The paper's claims of `claims.toml`, each judged from this run's numbers.
+"""The paper's claims in `claims.toml`, judged from the numbers of a run.
 
-A function below computes a quantity: whether the claim holds, whether partly, and what was measured.
+Each function computes whether a claim holds, whether it holds partly, and the measured values.
 """
 
 import tomllib
@@ -17,26 +17,26 @@ from ..work.scores import FILTERS
 
 Verdict = Literal["holds", "partly", "does not hold", "not judged"]
 Numbers = Mapping[str, dict[str, Any]]
-"""Numbers of the finished stages by name."""
+"""Numbers of the finished stages, by name."""
 Judged = tuple[bool, bool, str]
-"""Whether a claim holds, whether it holds partly, and what was measured."""
+"""Whether a claim holds, whether it holds partly, and the measured values."""
 Array = NDArray[np.float64]
 
 QUOTED, CLAIMS = (
     tomllib.loads(Path(__file__).with_name(name).read_text("utf-8"))
     for name in ("quoted.toml", "claims.toml")
 )
-"""What the paper reports, and what it claims."""
+"""Numbers that the paper reports, and its claims."""
 METHODS: dict[tuple[str, str], tuple[list[float], list[float]]] = {
     (row["method"], row["start"]): (row["train"], row["test"]) for row in QUOTED["table2"]
 }
-"""Its Table 2: median, mean and SD on training and test flights [deg], by method and start."""
+"""The paper's Table 2: median, mean and SD on training and test flights, by method and start [deg]."""
 FOUR = ("madgwick", "mahony", "complementary", "ekf")
 NETWORKS = ("att-snn", "att-rnn")
 TITLES = {"att-snn": "Att-SNN", "att-rnn": "Att-RNN"}
 DRAWS = 2000
 AVERAGED = 20
-"""Epochs of the paper's moving average of a loss; its measure begins after twice as many."""
+"""Number of epochs in the paper's moving average of a loss; the measure begins after twice as many."""
 
 
 class Judgement(NamedTuple):
@@ -51,24 +51,24 @@ class Judgement(NamedTuple):
 
 
 class Interval(NamedTuple):
-    """A number, and the ends of its 95 % interval."""
+    """A number with its 95 % interval."""
 
     value: float
     low: float
     high: float
 
     def __str__(self) -> str:
-        """As a page shows it."""
+        """Format the number and its interval."""
         ends = ["never" if np.isinf(each) else f"{each:.2f}" for each in self]
         return ends[0] if np.isinf(self.value) else f"{ends[0]} ({ends[1]} to {ends[2]})"
 
 
 class TooShortError(Exception):
-    """Trainings are too short for a measure."""
+    """A training is too short for a measure."""
 
 
 def judge(numbers: Numbers, judges: bool = True) -> list[Judgement]:
-    """All claims; one whose stages are not there is not judged, and none where the run is too small."""
+    """Judge all claims. A claim without its stages is not judged, and a small run judges none."""
     judged = []
     for claim in CLAIMS["claim"]:
         verdict: Verdict = "not judged"
@@ -90,7 +90,7 @@ def judge(numbers: Numbers, judges: bool = True) -> list[Judgement]:
 def interval(
     function: Callable[..., float], *samples: Sequence[float] | Array, paired: bool = False
 ) -> Interval:
-    """Bootstrap of a number that is computed from samples, which are drawn together where they are paired."""
+    """Return the bootstrap interval of a number computed from samples; paired samples are drawn together."""
     rng = np.random.default_rng(0)
     arrays = [np.asarray(each, dtype=np.float64) for each in samples]
 
@@ -104,12 +104,12 @@ def interval(
 
 
 def ratio(above: Sequence[float], below: Sequence[float], paired: bool = False) -> Interval:
-    """Mean of some errors over the mean of others."""
+    """Return the mean of some errors divided by the mean of others."""
     return interval(lambda a, b: float(a.mean() / b.mean()), above, below, paired=paired)
 
 
 def median_time(times: Sequence[float | None]) -> Interval:
-    """Median of times [s], where None is never."""
+    """Return the median of times [s], where None means never."""
     finite = [np.inf if time is None else time for time in times]
     return interval(lambda each: float(np.sort(each)[len(each) // 2]), finite)
 
@@ -117,25 +117,26 @@ def median_time(times: Sequence[float | None]) -> Interval:
 def errors(
     numbers: Numbers, method: str, start: str = "unknown", stage: str = "score-fly-test-real"
 ) -> list[float]:
-    """Errors of a method on every test flight of a domain, the second one if none is named [deg]."""
+    """Return the errors of a method on every test flight of a domain, by default the second one [deg]."""
     return numbers[stage]["sequences"][method][start]
 
 
 def quoted_mean(method: str) -> float:
-    """The paper's mean error on its test flights from an unknown start [deg]."""
+    """Return the paper's mean error on its test flights from an unknown start [deg]."""
     return METHODS[method, "unknown"][1][1]
 
 
 def operations(neurons: int, inputs: int) -> dict[str, int]:
-    """Operations per step of a layer by the paper's formulas."""
+    """Return the operations per step of a layer by the paper's formulas."""
     m, n = neurons, inputs
     return {"snn": m * m + m * n + 2 * m, "gru": 3 * m * m + 3 * m * n + 3 * m}
 
 
 def deviations(losses: Sequence[float]) -> Array:
-    """A validation loss about its moving average, as the paper's code computes it.
+    """Return the deviations of a validation loss from its moving average, as in the paper's code.
 
-    These are mean(L[i] … L[i + 19]) − L[i] from the 41st epoch on; none of a training of less than 62 epochs.
+    The deviations are mean(L[i] … L[i + 19]) − L[i] from the 41st epoch on. A training of less than 62 epochs
+    has none.
     """
     loss = np.asarray(losses, dtype=np.float64)
     if len(loss) < 3 * AVERAGED + 2:
@@ -145,13 +146,13 @@ def deviations(losses: Sequence[float]) -> Array:
 
 
 def scatter(losses: Sequence[float]) -> float:
-    """Standard deviation of the deviations; NaN of a shorter training."""
+    """Return the standard deviation of `deviations`; NaN for a training that is too short."""
     found = deviations(losses)
     return float(np.std(found)) if found.size else float("nan")
 
 
 def over_filters(numbers: Numbers, limit: float) -> Judged:
-    """Error of Att-SNN over the mean of the two middle filters."""
+    """Divide the error of Att-SNN by the mean of the two middle filters."""
     order = sorted(FOUR, key=lambda name: float(np.mean(errors(numbers, name))))
     middle = np.mean([errors(numbers, name) for name in order[1:3]], axis=0)
     over = ratio(errors(numbers, "att-snn"), middle.tolist(), paired=True)
@@ -164,14 +165,14 @@ def over_filters(numbers: Numbers, limit: float) -> Judged:
 
 
 def over_twin(numbers: Numbers, limit: float) -> Judged:
-    """Error of Att-SNN over that of Att-RNN."""
+    """Divide the error of Att-SNN by that of Att-RNN."""
     over = ratio(errors(numbers, "att-snn"), errors(numbers, "att-rnn"), paired=True)
     theirs = quoted_mean("att-snn") / quoted_mean("att-rnn")
     return over.low > limit, over.value > limit, f"{over} times, in the paper {theirs:.2f} times"
 
 
 def scatter_ratio(numbers: Numbers, limit: float) -> Judged:
-    """Scatter of Att-SNN's validation loss over that of Att-RNN's, in blocks of epochs."""
+    """Divide the scatter of Att-SNN's validation loss by that of Att-RNN's, in blocks of epochs."""
     blocks = [
         np.array_split(found, max(1, len(found) // AVERAGED))
         for found in (deviations(numbers[name]["val_mse"]) for name in (SNN, RNN))
@@ -190,7 +191,7 @@ def scatter_ratio(numbers: Numbers, limit: float) -> Judged:
 
 
 def single_sources(numbers: Numbers, limit: float) -> Judged:
-    """Errors in the other domain over those of the mixed folds."""
+    """Divide the errors in the other domain by those of the mixed folds."""
     folds = numbers["score-folds"]
     mixed = [error for name, each in folds.items() if name not in CROSS for error in each["test"]]
     to_real, to_sim = (ratio(folds[source]["test"], mixed) for source in CROSS)
@@ -203,7 +204,7 @@ def single_sources(numbers: Numbers, limit: float) -> Judged:
 
 
 def convergence(numbers: Numbers, _: float) -> Judged:
-    """Median times until the error is first below 2°."""
+    """Compare the median times until the error is first below 2°."""
     curves, quoted = numbers["recover"]["curves"], QUOTED["converge_s"]
     times = {name: median_time(curves[name]["flight"]["times_s"]) for name in (*NETWORKS, *FILTERS)}
     networks, filters = ([times[name] for name in names] for names in (NETWORKS, FILTERS))
@@ -216,7 +217,7 @@ def convergence(numbers: Numbers, _: float) -> Judged:
 
 
 def rare_neurons(numbers: Numbers, limit: float) -> Judged:
-    """Error without the neurons that hardly spike, and how many these are."""
+    """Compute the error without neurons that hardly spike, and their number."""
     inside = numbers["inside"]
     before, after = inside["ablation"]["activity"][0], inside["without_rare"]["error_deg"]
     removed = 1 - inside["without_rare"]["neurons"] / sum(map(len, inside["rates"]))
@@ -228,7 +229,7 @@ def rare_neurons(numbers: Numbers, limit: float) -> Judged:
 
 
 def gains(numbers: Numbers, _: float) -> Judged:
-    """Gains of slow and of fast attitude without gyroscope, and with θ_acc = 0."""
+    """Compute gains of slow and fast attitude without gyroscope, and with θ_acc = 0."""
     each = numbers["manipulate"]["networks"][SNN]
     no_gyro, no_accel = each["gyro removed"], each["accel removed"]
     slow = no_gyro["slow_gain"] > no_accel["slow_gain"]
@@ -242,7 +243,7 @@ def gains(numbers: Numbers, _: float) -> Judged:
 
 
 def formulas(numbers: Numbers, limit: float) -> Judged:
-    """Operations of the recurrent layers by the paper's formulas, and those counted."""
+    """Compare the operations of the recurrent layers by the paper's formulas with those counted."""
     layer, count = operations(100, 100), numbers["inside"]["flops"]
     over = layer["gru"] / layer["snn"]
     dense, sparse = (count["gru"] / count[kind] for kind in ("dense", "sparse"))
@@ -254,7 +255,7 @@ def formulas(numbers: Numbers, limit: float) -> Judged:
 
 
 def rates(numbers: Numbers, limit: float) -> Judged:
-    """Error at the highest sample rate over that at the lowest."""
+    """Divide the error at the highest sample rate by that at the lowest."""
     prefix = "score-rate-"
     stages = sorted(float(name.removeprefix(prefix)) for name in numbers if name.startswith(prefix))
     if not stages:
@@ -269,7 +270,7 @@ def rates(numbers: Numbers, limit: float) -> Judged:
 
 
 def minutes(numbers: Numbers, limit: float) -> Judged:
-    """Error after 10 and 30 minutes of flight over that after the most."""
+    """Divide the errors after 10 and 30 minutes of training flights by that after the most."""
     found = {int(n): each["unknown"] for n, each in numbers["score-minutes"]["sequences"].items()}
     most = max(found)
     over = {n: ratio(found[n], found[most], paired=True) for n in (10, 30) if n in found and n < most}
@@ -280,7 +281,7 @@ def minutes(numbers: Numbers, limit: float) -> Judged:
 
 
 def growth(numbers: Numbers, limit: float) -> Judged:
-    """Error in the last third of closed-loop flights over that in the first."""
+    """Divide the error in the last third of closed-loop flights by that in the first."""
     scores = {name: each["att-snn"] for name, each in numbers["loop"]["scenarios"].items()}
     crashes, flights = (sum(each[key] for each in scores.values()) for key in ("crashes", "flights"))
     over = {

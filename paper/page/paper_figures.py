@@ -1,4 +1,7 @@
-"""Figures in the paper's forms, from the stages' numbers; distinguished by line and marker in grey too."""
+"""Figures in the form of the paper's, from the numbers of the stages.
+
+Lines and markers are distinct in grey.
+"""
 
 from collections.abc import Sequence
 from typing import Any
@@ -20,9 +23,9 @@ BLACK, GREY, LIGHT = "#111111", "#999999", "#d9d9d9"
 COLOURS = (BLACK, "#0072b2", "#e08a00", "#7a5195", "#6b6b6b")
 DASHES = ("-", "--", "-.", ":", (0, (6, 1, 1, 1)))
 DIAMOND: dict[str, Any] = {"marker": "D", "ls": "", "mfc": "white", "color": BLACK, "ms": 5}
-"""How the paper's values are drawn."""
+"""Style of the paper's values."""
 SAME = {"att-snn, chip": "att-snn-loihi"}
-"""Networks of the paper, and the estimator whose look they have."""
+"""Networks of the paper, and the estimators whose styles they have."""
 
 
 def _panels(width: float, height: float, *shape: int, **options: Any) -> tuple[Figure, Any]:
@@ -45,7 +48,7 @@ def _name_rows(axes: Axes, names: Sequence[str]) -> None:
 
 
 def fig4(numbers: Numbers) -> Figure:
-    """Training and validation loss of the networks, epoch by epoch."""
+    """Draw training and validation loss of the networks over epochs."""
     figure, panels = _panels(10.2, 3.0, 1, len(CURVES), sharey=True)
     for axes, (stage, title) in zip(panels, CURVES.items(), strict=True):
         for kind, label, style in (
@@ -64,7 +67,7 @@ def fig4(numbers: Numbers) -> Figure:
 
 
 def fig5(numbers: Numbers) -> Figure:
-    """Error of every test flight of the second domain, with an unknown and, for filters, a known start."""
+    """Draw the errors of the second domain's test flights, with an unknown and a known start."""
     names = [*SIX, *OWN]
     figure, axes = _panels(9.6, 3.8)
     handles: list[Artist] = []
@@ -93,7 +96,7 @@ def fig5(numbers: Numbers) -> Figure:
 
 
 def fig6(numbers: Numbers) -> Figure:
-    """Pitch after one start with an error of 20°, and the median inclination error after all."""
+    """Draw pitch after a start with an error of 20°, and the median inclination error after all of them."""
     found = numbers["recover"]
     figure, panels = _panels(10.2, 3.8, 1, 3)
     one, *medians = panels
@@ -122,7 +125,7 @@ def fig6(numbers: Numbers) -> Figure:
 
 
 def fig7(numbers: Numbers) -> Figure:
-    """How often neurons spike, the most active first, and the error with some removed."""
+    """Draw the spike rates of the neurons, the most active first, and the error without some of them."""
     inside = numbers["inside"]
     figure, (left, right) = _panels(9.6, 3.2, 1, 2)
     for k, layer in enumerate(("encoding", "recurrent")):
@@ -144,7 +147,7 @@ def fig7(numbers: Numbers) -> Figure:
 
 
 def fig8(numbers: Numbers) -> Figure:
-    """Pitch estimated from manipulated inputs at a constant velocity, and its error."""
+    """Draw pitch estimated from manipulated inputs at a constant velocity, and its error."""
     found = numbers["manipulate"]
     truth = np.array(found["pitch_deg"])
     time = np.arange(len(truth)) * found["step_s"]
@@ -162,7 +165,7 @@ def fig8(numbers: Numbers) -> Figure:
 
 
 def fig9(numbers: Numbers) -> Figure:
-    """Time of an update (1st, 50th, 99th percentile) beside the paper's, and modelled energy of a step."""
+    """Draw the time of an update with the paper's, and the modelled energy of a step."""
     taken = dict(sorted(numbers["latencies"].items(), key=lambda item: item[1][1]))
     layer = {"Loihi": "loihi_us", "PyTorch SNN": "snn_us", "GRU": "gru_us"}
     paper = {
@@ -192,4 +195,4 @@ def fig9(numbers: Numbers) -> Figure:
 
 
 FIGURES = {make.__name__: make for make in (fig4, fig5, fig6, fig7, fig8, fig9)}
-"""Figure of each item that has one."""
+"""Figures by item."""

@@ -1,4 +1,4 @@
-"""Tables in Markdown for `sections.md`, from the stages' numbers, the paper's own beside ours."""
+"""Markdown tables for `sections.md`, with the numbers of the stages and those of the paper."""
 
 from collections.abc import Callable, Iterable, Sequence
 
@@ -23,17 +23,20 @@ RESPONSES = {
 }
 """The paper's four inputs of Fig. 8."""
 OWN = {"att-snn, chip": "Att-SNN (Loihi quantisation)"}
-"""Networks that are none of the paper's."""
+"""Networks that are not from the paper."""
 
 
 def markdown_table(header: str, rows: Iterable[Sequence[object]]) -> str:
-    """A table under a header "a | b | c"; the first column to the left, numbers to the right."""
+    """Format a table with a header "a | b | c".
+
+    The first column is left-aligned, numbers are right-aligned.
+    """
     lines = [header.split(" | "), ["---", *["---:"] * header.count(" | ")], *rows]
     return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines)
 
 
 def named(name: str) -> str:
-    """A method, in italics where it is none of the paper's."""
+    """Return the name of a method, in italics if it is not from the paper."""
     return TITLES.get(name, name) if name in SIX else f"*{OWN.get(name, name)}*"
 
 
@@ -42,7 +45,7 @@ def _statistics(values: Sequence[float], *of: Callable[..., float]) -> str:
 
 
 def folds(numbers: Numbers) -> str:
-    """Table 1: errors of every fold, mean and SD over flights."""
+    """Make Table 1: errors of every fold, mean and SD over flights."""
     found = numbers["score-folds"]
     mixed = [name for name in found if name not in CROSS]
     titles = {"sim": "Hummingbird → px4-quad", "px4": "px4-quad → Hummingbird"}
@@ -60,7 +63,7 @@ def _sd(values: Sequence[float]) -> float:
 
 
 def methods(numbers: Numbers) -> str:
-    """Table 2: median, mean and SD of every method over flights."""
+    """Make Table 2: median, mean and SD of every method over flights."""
     rows = []
     for name in (*SIX, "complementary-adaptive", *OWN):
         for start in ("unknown",) if name.startswith("att") else ("known", "unknown"):
@@ -90,7 +93,7 @@ def _silenced(numbers: Numbers, name: str, domain: str) -> str:
 
 
 def losses(numbers: Numbers) -> str:
-    """Best epochs and scatter of the trainings."""
+    """Make the table of best epochs and scatter of the trainings."""
     rows = []
     for stage, title in CURVES.items():
         each, size = numbers[stage], scatter(numbers[stage]["val_mse"])
@@ -108,7 +111,7 @@ def losses(numbers: Numbers) -> str:
 
 
 def recoveries(numbers: Numbers) -> str:
-    """When the error is first below 2°."""
+    """Make the table of times until the error is first below 2°."""
     rows = []
     for name, each in numbers["recover"]["curves"].items():
         cells = ["–"] * 4
@@ -123,7 +126,7 @@ def recoveries(numbers: Numbers) -> str:
 
 
 def activity(numbers: Numbers) -> str:
-    """Shares of neurons that hardly spike."""
+    """Make the table of shares of neurons that hardly spike."""
     rows, quoted = [], QUOTED["activity"]
     for k, layer in enumerate(("encoding", "recurrent")):
         rate = np.array(numbers["inside"]["rates"][k])

@@ -1,1 +1,1 @@
-"""What stages do: flights, networks, filters, and scores of these."""
+"""The work of the stages: flights, networks, filters, and scores."""

@@ -1,4 +1,4 @@
-"""Stages of filters: tuned by the paper's particle swarm within its bounds."""
+"""Stages that tune filters by the paper's particle swarm within its bounds."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,7 +17,7 @@ from ..stages import FLIGHTS, TUNING, Numbers
 GIVEN = {"complementary-adaptive": {"k_a": 0.01}}
 """Parameters that the paper sets."""
 LEAST = 1e-6
-"""The swarm searches every other parameter itself between this, for 0, and 1."""
+"""Lower bound of the search for every other parameter, instead of 0; the upper bound is 1."""
 
 
 def tune(

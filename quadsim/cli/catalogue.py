@@ -13,15 +13,15 @@ from ..runs.fingerprint import ASSETS
 
 HOW = {
     "scenarios": "quadsim fly NAME; quadsim bench --scenario NAME",
-    "estimators": "--estimator NAME; also weights, or your own: file.py:Class, module:Class",
-    "controllers": "--controller NAME; also weights, or your own: file.py:make, module:make",
-    "vehicles": "--set vehicle=NAME, or a TOML file",
-    "imus": "--set imu=NAME, or a TOML file",
-    "externals": "quadsim bench --set external=NAME, or a TOML file",
-    "recipes": "quadsim generate --recipe NAME, or a TOML file",
-    "presets": "quadsim train --preset NAME, or a TOML file",
-    "tasks": "quadsim bench --task NAME, or a TOML file",
-    "tuning": "--set tuning=NAME, or a file written by quadsim tune",
+    "estimators": "--estimator NAME, a file of weights, or your own file.py:Class or module:Class",
+    "controllers": "--controller NAME, a file of weights, or your own file.py:make or module:make",
+    "vehicles": "--set vehicle=NAME or --set vehicle=FILE.toml",
+    "imus": "--set imu=NAME or --set imu=FILE.toml",
+    "externals": "quadsim bench --set external=NAME or --set external=FILE.toml",
+    "recipes": "quadsim generate --recipe NAME or --recipe FILE.toml",
+    "presets": "quadsim train --preset NAME or --preset FILE.toml",
+    "tasks": "quadsim bench --task NAME or --task FILE.toml",
+    "tuning": "--set tuning=NAME or --set tuning=FILE.toml, written by quadsim tune",
     "weights": "--estimator NAME; quadsim report NAME; quadsim export NAME",
 }
 """Kinds of names that can be listed, and the commands and options that accept a name."""
@@ -30,10 +30,10 @@ HOW = {
 def list_names(
     kind: Annotated[str, typer.Argument(metavar="KIND", help=f"What to list: {', '.join(HOW)}.")],
 ) -> None:
-    """List the names of scenarios, estimators, vehicles and so on, each with a description.
+    """List the available scenarios, estimators, vehicles and so on, each with a description.
 
-    The list also includes your own TOML files in a folder of the working directory that is named after the
-    kind, such as scenarios/.
+    If the working directory has a folder with the name of the kind, such as scenarios/, the list also
+    includes the TOML files in that folder.
 
     Example: quadsim list scenarios
     """
@@ -45,11 +45,11 @@ def list_names(
     for row in _rows(kind):
         table.add_row(*row)
     output.print(table)
-    say(f"Use: {HOW[kind]}", "dim")
+    say(f"How to use a name: {HOW[kind]}", "dim")
 
 
 def _rows(kind: str) -> Iterable[tuple[str, str]]:
-    """Names of a kind and what they are, shipped ones first; of the user's own, the path."""
+    """Return names and descriptions of a kind: first shipped names, then paths of the user's files."""
     from estimators.networks.weights_file import shipped_controllers, shipped_names
     from estimators.registry import SHIPPED
 
@@ -72,13 +72,13 @@ def _rows(kind: str) -> Iterable[tuple[str, str]]:
 
 
 def _weights(names: Iterable[str]) -> list[tuple[str, str]]:
-    """Weights, with the first sentence of their card after its title."""
+    """Return names of weights, each with the first sentence of its model card."""
     cards = {card.stem: card.read_text("utf-8") for card in ASSETS.glob("*/*.md")}
     return [(name, first_sentence(" ".join(cards[name].split("\n\n")[1].split()))) for name in names]
 
 
 def summary(file: Path) -> str:
-    """Description of a TOML file: its key `description` or `source`, or else its first comment."""
+    """Return the description of a TOML file: its key `description` or `source`, or else its first comment."""
     from ..config.toml import read_toml
 
     try:
@@ -94,5 +94,5 @@ def summary(file: Path) -> str:
 
 
 def first_sentence(text: str) -> str:
-    """The first sentence of a text."""
+    """Return the first sentence of a text."""
     return re.split(r"(?<=[.!?])\s", text, maxsplit=1)[0]

@@ -1,4 +1,4 @@
-"""Conditions of flights, as set by `--set`: models, which take long to import and no `--help` needs."""
+"""Models of what `--set` can change. They are not imported for `--help`, because pydantic imports slowly."""
 
 from pathlib import Path
 from typing import Annotated
@@ -14,40 +14,40 @@ class Sampling(Strict):
 
 
 class Conditions(Sampling):
-    """Changes of flights in closed loop, as set by `--set`; None keeps the scenario's value."""
+    """Conditions of flights in closed loop, as set by `--set`; None keeps the scenario's value."""
 
     vehicle: str | None = None
     imu: str | None = None
     external: str | None = None
     engine: Engine | None = None
-    """Integrator: mujoco; or auto, in free flight its scheme compiled, equal to 1e-12 and faster."""
+    """mujoco, or auto: in free flight a faster, compiled version of MuJoCo's integrator, equal to 1e-12."""
     tuning: str | None = None
-    """None selects the parameters shipped for the vehicle."""
+    """Filter parameters; None selects those that ship for the vehicle."""
 
     def changes(self, duration_s: float | None) -> dict[str, object]:
-        """Fields that replace those of every scenario."""
+        """Return the fields that replace those of every scenario."""
         given = self.model_dump(exclude={"rate", "tuning", "flight"}) | {"duration_s": duration_s}
         return {name: value for name, value in given.items() if value is not None}
 
 
 class FlightConditions(Conditions):
-    """The same for `fly`."""
+    """Conditions for `quadsim fly`, as set by `--set`."""
 
     flight: Annotated[int, Between(0, 9999)] = 0
-    """First flight, by its number in flights.parquet of bench."""
+    """Number of the first flight, as in flights.parquet of `quadsim bench`."""
 
 
 class Filters(Strict):
     """Parameters of filters on recorded flights, as set by `--set`."""
 
     tuning: str | None = None
-    """A shipped name or a file of `quadsim tune`; None selects those of the vehicle."""
+    """A shipped name or a file written by `quadsim tune`; None selects the parameters for the vehicle."""
     vehicle: str | None = None
-    """For ekf-drag, a shipped name or a TOML file; None for the dataset's, and for logs none."""
+    """Airframe for ekf-drag, a shipped name or a TOML file; None selects the vehicle of the dataset."""
 
 
 class Recordings(Strict):
-    """What `--set` may say of a task: nothing that changes it."""
+    """Settings of `--set` for a task; they do not change the task."""
 
     broad: Path | None = None
-    """Folder of the trials of BROAD, as its authors publish them."""
+    """Folder with the trials of BROAD, as published by its authors."""

@@ -10,7 +10,7 @@ from .options import Force, Imu, LearningSeed, Mount, Seed, Truth, Workers, fiel
 
 
 def generate(
-    out: Annotated[Path, typer.Option(help="Folder of the new dataset, for example data/train.zarr.")],
+    out: Annotated[Path, typer.Option(help="Folder for the new dataset, for example data/train.zarr.")],
     flights: Annotated[int, typer.Option(min=1, help="Number of flights.")] = 35,
     duration: Annotated[float, typer.Option(min=0.1, help="Length of each flight in seconds.")] = 100.0,
     recipe: Annotated[
@@ -20,8 +20,9 @@ def generate(
         list[str] | None,
         typer.Option(
             "--set",
-            help="Change of the recipe, as name=value: vehicle or imu (a shipped name or a TOML file), "
-            "engine (auto, mujoco), any key of a recipe, or rate (default: 200 Hz). Repeat for more.",
+            help="Change of the recipe, as name=value. vehicle, imu: a shipped name or a TOML file. engine: "
+            "auto or mujoco. rate: samples per second (default: 200). Other keys of a recipe are also "
+            "accepted. Repeat the option to set more.",
         ),
     ] = None,
     seed: LearningSeed = 0,
@@ -30,9 +31,9 @@ def generate(
 ) -> None:
     """Generate labelled synthetic flights: IMU readings with true motion, biases and wind.
 
-    The default size is the paper's: 35 flights of 100 s at 200 Hz. These flights take 5 to 15 seconds, and
-    up to a minute more at the first run, which compiles code. To resume a run that was stopped, repeat the
-    command. The number of workers does not change the data.
+    By default, the command generates 35 flights of 100 s at 200 Hz. This takes 5 to 15 seconds. The first run
+    takes up to a minute longer, because it compiles code. If a run was stopped, the same command resumes it.
+    The number of workers does not change the data.
 
     Example: quadsim generate --flights 4 --duration 20 --out data/small.zarr
     """
@@ -58,7 +59,7 @@ def generate(
             overwrite=overwrite,
         )
     info = dataset_info(path)
-    early = f", {info['flights_ended_early']} of them ended early" if info["flights_ended_early"] else ""
+    early = f" ({info['flights_ended_early']} ended early)" if info["flights_ended_early"] else ""
     say(
         f"{path}: {info['flights']} flights of {info['duration_s']:g} s at {info['rate_hz']:g} Hz{early}, "
         f"roll SD {info['roll_sd_deg']:.1f}°, pitch SD {info['pitch_sd_deg']:.1f}°, "
@@ -70,20 +71,22 @@ def export(
     source: Annotated[
         list[str],
         typer.Argument(
-            help="A dataset, weights (a file or a name from quadsim list weights), logs, or another tool's "
-            "network (FILE.nir)."
+            help="A dataset, weights (a file or a name from quadsim list weights), one or more logs, or a "
+            "network from another tool (FILE.nir)."
         ),
     ],
     out: Annotated[Path, typer.Option(help="File or folder to write; it must not exist yet.")],
     format: Annotated[
         str | None,
         typer.Option(
-            help="For a dataset: netcdf, parquet (one flat table) or huggingface (a folder). For weights: "
-            "c99 (spiking networks), nir (networks of layers) or onnx (GRU networks). For logs: zarr "
-            "(a dataset). For FILE.nir, omit this option."
+            help="For a dataset: netcdf, parquet (one flat table) or huggingface (Parquet with a dataset "
+            "card). For weights: c99 (spiking networks), nir (spiking networks of layers) or onnx (GRU "
+            "networks). For logs: zarr (a dataset). For FILE.nir, omit this option."
         ),
     ] = None,
-    piece: Annotated[float, typer.Option(min=1, help="For logs: length of the pieces, in seconds.")] = 20.0,
+    piece: Annotated[
+        float, typer.Option(min=1, help="For logs: length of each flight in the dataset, in seconds.")
+    ] = 20.0,
     rate: Annotated[float, typer.Option(min=50, max=2000, help="For logs: samples per second.")] = 200.0,
     mount: Mount = None,
     truth: Truth = None,
@@ -93,17 +96,18 @@ def export(
         list[str] | None,
         typer.Option(
             "--set",
-            help="For FILE.nir, as name=value: dt (step of its time constants, in seconds), input (a .npy "
-            "array of T × inputs; default: random spikes), steps (of random spikes). Repeat for more.",
+            help="For FILE.nir, as name=value. dt: time step of the network, in seconds. input: a .npy file "
+            "with an array of steps × inputs (default: random spikes). steps: number of steps of random "
+            "spikes. Repeat the option to set more.",
         ),
     ] = None,
     seed: Seed = 0,
 ) -> None:
     """Convert a dataset or a network to another tool's format, or logs to a dataset.
 
-    A network in NIR, from Norse, snnTorch or another tool, is rounded to the integers of the emulated Loihi
-    and compared with floats. The folder then contains the integers, C99 files and a report on agreement,
-    cores and energy.
+    A network in NIR format (FILE.nir), for example from Norse or snnTorch, is rounded to the integers of the
+    emulated Loihi chip. The command runs the rounded network and the original one on the same input. The
+    output folder contains the integers, C99 files, and a report on agreement, cores and energy.
 
     Example: quadsim export att-snn --format c99 --out firmware/att_snn
 
@@ -117,9 +121,9 @@ def export(
         _import(source, out, format, set_, seed)
         return
     if format is None:
-        raise ValueError(f"{source[0]}: --format is missing; only FILE.nir needs none")
+        raise ValueError(f"{source[0]}: give a --format; only FILE.nir needs none")
     if set_:
-        raise ValueError("--set is for FILE.nir")
+        raise ValueError("--set applies only to FILE.nir")
     from estimators.circuit.file import is_circuit
     from estimators.export.formats import FORMATS, export_weights
     from estimators.networks.weights_file import END, shipped_controllers, shipped_names
@@ -137,32 +141,32 @@ def export(
         convert(logs, out, piece)
         return
     if len(source) > 1:
-        raise ValueError(f"--format {format} is of one dataset or network, not of {len(source)}")
+        raise ValueError(f"--format {format} takes one dataset or network, not {len(source)}")
     shipped = is_circuit(source[0]) or source[0] in (*shipped_names(), *shipped_controllers())
     if shipped or source[0].endswith(END) or format in FORMATS:
         export_weights(source[0], out, format)
     else:
         with progress_bar("export", "flights") as progress:
             export_dataset(source[0], out, format, progress)
-    say(f"{out}: {source[0]} as {format}")
+    say(f"{out}: {source[0]} exported as {format}")
 
 
 FEW_SPIKES = 100
-"""Fewer spikes than these say little of the agreement of a network with its floats."""
+"""Number of spikes below which the measured agreement means little."""
 
 
 def _import(source: list[str], out: Path, format: str | None, set_: list[str] | None, seed: int) -> None:
     from estimators.analysis.imported import ImportSettings, import_nir
 
     if len(source) > 1 or format is not None:
-        raise ValueError(f"{source[0]}: one NIR file is converted for the chip, without --format")
+        raise ValueError(f"{source[0]}: give one NIR file and no --format")
     report = import_nir(source[0], out, settings_of(set_, ImportSettings), seed)
     print_table([map(_short, each.values()) for each in report["layers"]], [*report["layers"][0]])
     print_table((name, _short(each)) for name, each in report.items() if not isinstance(each, (dict, list)))
     same = "no neuron spikes on this input"
     if report["agreement"] is not None:
-        few = "" if report["spikes"] >= FEW_SPIKES else ", which are too few to tell how well it agrees"
-        same = f"{100 * report['agreement']:.1f} % of {report['spikes']} spikes as in floats{few}"
+        few = "" if report["spikes"] >= FEW_SPIKES else ", too few spikes to measure the agreement"
+        same = f"{100 * report['agreement']:.1f} % of {report['spikes']} spikes agree with floats{few}"
     say(f"{out}: {report['cores']} of a chip's 128 cores, {same}")
 
 

@@ -14,27 +14,31 @@ from .options import OWN_CONTROLLER, ConditionFields, Duration, Mcap, Rerun, See
 
 def fly(
     scenario: Annotated[
-        str, typer.Argument(help="A shipped scenario, for example wind-gust, or a TOML file.")
+        str,
+        typer.Argument(
+            help="A shipped scenario (see quadsim list scenarios), for example wind-gust, or a TOML file."
+        ),
     ],
     estimator: Annotated[
         str | None,
         typer.Option(
-            help="Estimator: a name, weights (.safetensors) or your own file.py:Class; "
-            "default: att-snn-loihi."
+            help="Estimator: a name (see quadsim list estimators), weights (.safetensors) or your own "
+            "file.py:Class. Default: att-snn-loihi."
         ),
     ] = None,
     controller: Annotated[str, typer.Option(help=OWN_CONTROLLER)] = "cascaded",
     autopilot: Annotated[
         str | None,
         typer.Option(
-            help="Firmware that replaces estimator and controller: betaflight (angle mode) or "
+            help="Firmware that replaces the estimator and the controller: betaflight (angle mode) or "
             "betaflight-rate (rate mode). The first flight compiles the firmware."
         ),
     ] = None,
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Output folder; default: reports/fly-SCENARIO-ESTIMATOR, with other choices appended."
+            help="Folder for the results. Default: a folder in reports/ whose name contains the scenario, "
+            "the estimator, and a vehicle, IMU or tuning given by --set."
         ),
     ] = None,
     duration: Duration = None,
@@ -69,13 +73,15 @@ def fly(
     elif autopilot not in AUTOPILOTS:
         raise ValueError(f"--autopilot {autopilot}: {nearest(autopilot, AUTOPILOTS)}")
     elif estimator or controller != CASCADED:
-        raise ValueError(f"--autopilot {autopilot} has its own estimator and controller: leave them out")
+        raise ValueError(
+            f"--autopilot {autopilot} has its own estimator and controller: omit --estimator and --controller"
+        )
     else:
         estimator = autopilot
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # its folder and locks are removed
     given = settings_of(set_, FlightConditions)
     if autopilot and given.tuning:
-        raise ValueError(f"--set tuning is for quadsim's filters, and --autopilot {autopilot} has its own")
+        raise ValueError(f"--autopilot {autopilot} has its own estimator: omit --set tuning")
     parts = (scenario, estimator, *filter(None, (given.vehicle, given.imu, given.tuning)))
     folder = out or Path("reports") / "-".join(["fly", *map(file_name, parts)])
     try:
@@ -99,67 +105,72 @@ def fly(
         raise ValueError(str(error)) from error
     row = done.results.rows[0]
     if row.reason:
-        raise ValueError(f"{scenario} did not run with {estimator}: {row.reason}")
+        raise ValueError(f"{scenario} could not be flown with {estimator}: {row.reason}")
     warn(done.results)
     for name, why in done.results.unranked.items():
         say(f"{name} {why}.")
-    errors = "so there is no error to report"
+    errors = "no error was measured"
     if row.error_deg is not None and row.attitude_deg is not None:
         errors = f"error {row.error_deg:.2f}°, attitude tracking error {row.attitude_deg:.2f}°"
-    say(f"{done.report}: {row.crashes} of {row.flights} crashed, {errors}")
+    flights = "flight" if row.flights == 1 else "flights"
+    say(f"{done.report}: {row.crashes} of {row.flights} {flights} crashed, {errors}")
 
 
 def bench(
-    out: Annotated[Path, typer.Option(help="Folder for report and tables.")] = Path("reports/bench"),
+    out: Annotated[Path, typer.Option(help="Folder for the report and the tables.")] = Path("reports/bench"),
     task: Annotated[
         str | None,
         typer.Option(
-            help="Task that each --estimator enters, attitude-1 or your own TOML file; writes its entry.json "
-            "and a leaderboard. --set broad=FOLDER gives the trials of BROAD."
+            help="Run a benchmark task instead of an experiment: attitude-1, or your own TOML file. The "
+            "command writes an entry.json for each --estimator, and a leaderboard. Use --set broad=FOLDER to "
+            "include your copy of the BROAD recordings."
         ),
     ] = None,
     experiment: Annotated[
         str,
         typer.Option(
-            help="suite: all scenarios. axes: combinations of initial attitude, motion, drag, airframe and "
-            "IMU. held-out: scenarios drawn with held-out seeds. breaking-points: disturbances at increasing "
-            "levels. Or your own TOML file."
+            help="suite: all shipped scenarios. axes: combinations of initial attitude, motion, drag, "
+            "airframe and IMU. held-out: scenarios drawn with held-out seeds. breaking-points: disturbances "
+            "at increasing levels. You can also give your own TOML file."
         ),
     ] = "suite",
     scenario: Annotated[
         list[str] | None,
-        typer.Option(help="Scenario; repeat the option to add more. Default: those of the experiment."),
+        typer.Option(
+            help="Scenario to fly. Repeat the option to add more. Default: the scenarios of the experiment."
+        ),
     ] = None,
     estimator: Annotated[
         list[str] | None,
         typer.Option(
-            help="Estimator: a name, weights (.safetensors) or your own file.py:Class; repeat the option "
-            "to add more. Default: all but ukf-filterpy, which is slow, and att-snn, whose results equal "
-            "att-snn-loihi's."
+            help="Estimator: a name, weights (.safetensors) or your own file.py:Class. Repeat the option to "
+            "add more. Default: all estimators except ukf-filterpy, which is slow, and att-snn, which gives "
+            "the same results as att-snn-loihi."
         ),
     ] = None,
     controller: Annotated[
         list[str] | None,
         typer.Option(
-            help=f"{OWN_CONTROLLER} Repeat the option to add more; each flies with every estimator."
+            help=f"{OWN_CONTROLLER} Repeat the option to add more; every estimator flies with each "
+            "controller."
         ),
     ] = None,
     seeds: Annotated[
         int | None,
-        typer.Option(min=1, max=10_000, help="Flights in each cell; default: the experiment's."),
+        typer.Option(min=1, max=10_000, help="Number of flights in each cell. Default: the experiment's."),
     ] = None,
     duration: Duration = None,
     set_: ConditionFields = None,
     seed: Annotated[
-        int | None, typer.Option(min=0, help="Seed of all random numbers; default: the experiment's.")
+        int | None, typer.Option(min=0, help="Seed of all random numbers. Default: the experiment's.")
     ] = None,
     workers: Workers = None,
 ) -> None:
     """Fly scenarios × estimators × seeds in closed loop, and report which estimator is best.
 
     A cell is one scenario with one estimator. Finished cells are stored, so the same command resumes a run
-    that was stopped. If a cell cannot run, results.csv has the reason; the exit code is 2 only if no cell
-    ran. flights.parquet has a row for each flight, with its level of each varied condition.
+    that was stopped. If a cell cannot run, results.csv gives the reason. The exit code is 2 only if no cell
+    ran. The table flights.parquet has one row for each flight.
 
     Example: quadsim bench --scenario hover --scenario wind-gust --estimator att-snn-loihi --estimator mahony
 
@@ -183,7 +194,7 @@ def bench(
         others |= {"--seed": seed, "--experiment": experiment != "suite"}
         for name, value in others.items():
             if value:
-                raise ValueError(f"{name} is not for --task, which says it itself")
+                raise ValueError(f"{name} cannot be combined with --task, because the task defines it")
         if not estimator:
             raise ValueError("--task: give at least one --estimator")
         run_entries(out, task, estimator, settings_of(set_, Recordings).broad, workers)
@@ -198,7 +209,9 @@ def bench(
 def demo(
     out: Annotated[Path, typer.Option(help="Folder for all results.")] = Path("reports/demo"),
     flights: Annotated[int, typer.Option(min=1, help="Number of flights to generate.")] = 6,
-    seeds: Annotated[int, typer.Option(min=1, help="Flights of each estimator in each scenario.")] = 5,
+    seeds: Annotated[
+        int, typer.Option(min=1, help="Number of flights of each estimator in each scenario.")
+    ] = 5,
     seed: Seed = 0,
     workers: Workers = None,
 ) -> None:

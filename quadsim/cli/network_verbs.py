@@ -17,68 +17,69 @@ if TYPE_CHECKING:
     from training.run_folder import Epoch
 
 TRAINED = ("model", "preset", "data", "validation", "seed", "out", "progress")
-"""Settings of a training that have an option of their own, or follow from others."""
+"""Settings of a training that `--set` cannot change: an option sets them, or they follow from others."""
 
 
 def train(
-    out: Annotated[Path, typer.Option(help="Folder for the run, for example runs/snn.")],
+    out: Annotated[Path, typer.Option(help="Folder for the results of the training, for example runs/snn.")],
     data: Annotated[
         list[Path] | None,
         typer.Option(
-            help="Dataset to train on; repeat the option to mix several. Controllers need no dataset; "
-            "att-snn generates its own flights if none is given."
+            help="Dataset to train on. Repeat the option to mix several datasets. The preset att-snn "
+            "generates flights if no dataset is given. Controllers need no dataset."
         ),
     ] = None,
     model: Annotated[
-        str, typer.Option(help="For networks of layers: att-snn (spiking) or att-rnn (in floats).")
+        str, typer.Option(help="For the preset paper: att-snn (spiking) or att-rnn (GRU, in floats).")
     ] = "att-snn",
     preset: Annotated[
         str,
         typer.Option(
-            help="att-snn: a circuit like the shipped one, for any IMU. tune: trains the shipped circuit on "
-            "your logs. paper: the paper's network of layers. control-attitude: a controller. Or a TOML file."
+            help="att-snn: train the shipped spiking circuit again. tune: continue training the shipped "
+            "circuit on your logs. paper: train the paper's network of layers. control-attitude: train a "
+            "controller. You can also give your own TOML file."
         ),
     ] = "att-snn",
     validation: Annotated[
         list[Path] | None,
         typer.Option(
-            help="Dataset that selects the best epoch; default: a part of --data. A circuit keeps its last "
-            "weights; the dataset only shows its error."
+            help="Dataset that selects the best epoch. Default: a part of --data. For the presets att-snn "
+            "and tune, the dataset selects nothing: the training prints the error on it and keeps the last "
+            "weights."
         ),
     ] = None,
     epochs: Annotated[
-        int | None, typer.Option(min=1, help="Maximum number of epochs; default: the preset's.")
+        int | None, typer.Option(min=1, help="Maximum number of epochs. Default: the preset's.")
     ] = None,
     tensorboard: Annotated[
         bool,
         typer.Option(
-            "--tensorboard", help="Also write the losses of each epoch to the folder, for TensorBoard."
+            "--tensorboard", help="Also write the losses of each epoch for TensorBoard, to the folder --out."
         ),
     ] = False,
     set_: Annotated[
         list[str] | None,
         typer.Option(
             "--set",
-            help="Any other setting, as name=value or table.name=value. For an unknown name, the list is "
-            "printed.",
+            help="Any other setting of the preset, as name=value or table.name=value. An unknown name prints "
+            "the valid names. Repeat the option to set more.",
         ),
     ] = None,
     seed: LearningSeed = 0,
 ) -> None:
     """Train a spiking network for the chip, or its counterpart in floats.
 
-    The preset att-snn trains a spiking circuit like the shipped one, for any IMU, starting from the
-    equation of gravity in a rotating frame. tune continues training the shipped circuit on your own logs.
-    paper trains a network of layers by the paper's recipe. control-attitude trains an attitude controller
-    by imitation, on flights that it generates.
+    The preset att-snn trains a spiking circuit with the architecture of the shipped one. The initial weights
+    follow from the equation of motion of gravity in a rotating frame. The preset tune continues training the
+    shipped circuit on your own logs. The preset paper trains the paper's network of layers. The preset
+    control-attitude trains an attitude controller to imitate a teacher in simulated flights.
 
-    The run folder contains the weights, the losses (log.csv) and their plot. Ctrl-C stops the run and keeps
-    its results, and the same command continues it.
+    The output folder contains the weights, the losses (log.csv) and a plot of the losses. Ctrl-C stops the
+    training and keeps the results so far. The same command continues the training.
 
     Example: quadsim train --out runs/snn
 
     Example: quadsim train --preset tune --data data/mine.zarr --out runs/mine
-
     """
     choices = fields_of(set_, *TRAINED)
     if epochs is not None:
@@ -115,32 +116,43 @@ def tune(
     estimator: Annotated[
         str,
         typer.Option(
-            help="A filter with parameters, for example mahony; your own file.py:Class with declared "
-            "parameters; or all."
+            help="A filter, for example mahony; your own file.py:Class that declares parameters; or all, "
+            "which tunes every filter."
         ),
     ],
-    data: Annotated[list[Path], typer.Option(help="Dataset to tune on; repeat the option to mix several.")],
+    data: Annotated[
+        list[Path], typer.Option(help="Dataset to tune on. Repeat the option to mix several datasets.")
+    ],
     out: Annotated[
-        Path, typer.Option(help="TOML file for the parameters; other filters in the file are kept.")
+        Path,
+        typer.Option(
+            help="TOML file for the parameters. If the file exists, the tables of other filters are kept."
+        ),
     ],
     particles: Annotated[int, typer.Option(min=2, help="Number of parameter sets in the swarm.")] = 100,
     iterations: Annotated[int, typer.Option(min=1, help="Number of iterations.")] = 50,
     flights: Annotated[
-        int | None, typer.Option(min=1, help="Number of flights of each dataset; default: all.")
+        int | None, typer.Option(min=1, help="Number of flights to use from each dataset. Default: all.")
     ] = None,
     pieces: Annotated[
-        int, typer.Option(min=1, help="Number of parts of each flight; all but the first begin in motion.")
+        int,
+        typer.Option(
+            min=1, help="Number of parts to cut each flight into. All parts but the first begin in motion."
+        ),
     ] = 1,
     search: Annotated[
         Literal["swarm", "evolution"],
-        typer.Option(help="swarm: the paper's particle swarm. evolution: SciPy's differential evolution."),
+        typer.Option(
+            help="swarm: particle swarm, as in the reproduced paper. evolution: SciPy's differential "
+            "evolution."
+        ),
     ] = "swarm",
     seed: LearningSeed = 0,
 ) -> None:
-    """Tune a filter on recorded flights with the paper's particle swarm.
+    """Tune the parameters of a filter on recorded flights.
 
-    The TOML file also records the command. With --estimator all, filterpy's two filters get the parameters of
-    ekf, because they have the same model.
+    The TOML file also records the command. With --estimator all, ekf-filterpy and ukf-filterpy are not tuned:
+    they get the parameters of ekf, because they have the same model.
 
     Example: quadsim tune --estimator mahony --data data/train.zarr --out mine.toml
     """

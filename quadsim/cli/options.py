@@ -1,4 +1,4 @@
-"""Options that several commands share, and functions that read and print their values."""
+"""Options that several commands share, and functions that parse their values."""
 
 from __future__ import annotations
 
@@ -26,57 +26,71 @@ def _unreserved(seed: int) -> int:
 
 LearningSeed = Annotated[
     int,
-    typer.Option(min=0, callback=_unreserved, help="Seed of all random numbers; held-out seeds are refused."),
+    typer.Option(min=0, callback=_unreserved, help="Seed of all random numbers. Held-out seeds are refused."),
 ]
 Workers = Annotated[int | None, typer.Option(min=1, help="Number of worker processes; default: one per CPU.")]
 ConditionFields = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
-        help="Condition of the flights, as name=value: vehicle, imu or external (a shipped name or a "
-        "TOML file, in place of the scenarios'), tuning (filter parameters: a shipped name or a "
-        "file from quadsim tune), engine (auto, mujoco), rate (samples per second). Only fly: flight "
-        "(number of the first flight, as in flights.parquet of bench). "
-        "Repeat for more.",
+        help="Condition of the flights, as name=value. vehicle, imu, external: a shipped name or a TOML file "
+        "that replaces the scenario's. tuning: filter parameters, as a shipped name or a file from quadsim "
+        "tune. engine: auto or mujoco. rate: samples per second. flight (only for fly): number of the first "
+        "flight, as in flights.parquet of bench. Repeat the option to set more.",
     ),
 ]
 Mount = Annotated[
     str | None,
     typer.Option(
         "--mount",
-        help='Rotation from IMU to body axes: body x, y and z as axes of the IMU ("z,-y,x"); roll, '
-        'pitch and yaw of the IMU in degrees ("rpy 0 20 90"); a quaternion w x y z; or a matrix '
-        "by rows. The true attitude is rotated only if it is that of the IMU itself.",
+        help="For logs: rotation from IMU axes to body axes. Give the IMU axes along body x, y and z "
+        "('z,-y,x'); roll, pitch and yaw of the IMU in degrees ('rpy 0 20 90'); a quaternion w x y z; or the "
+        "nine elements of a matrix by rows. The true attitude is rotated only if it is the attitude of the "
+        "IMU.",
     ),
 ]
 Truth = Annotated[
-    str | None, typer.Option(help="Topic or folder of the true attitude; default: the best one in the log.")
+    str | None,
+    typer.Option(
+        help="For logs: topic or folder of the true attitude. Default: the most accurate one in the log."
+    ),
 ]
-Imu = Annotated[str | None, typer.Option(help="Topic of the IMU in a ROS bag or MCAP.")]
-Force = Annotated[bool, typer.Option("--force", help="Use logs even if their units or axes look wrong.")]
+Imu = Annotated[
+    str | None,
+    typer.Option(
+        help="For ROS bags and MCAP files: topic of the IMU. Default: the one with the most messages."
+    ),
+]
+Force = Annotated[
+    bool, typer.Option("--force", help="For logs: use a log even if its units or axes look wrong.")
+]
 Rerun = Annotated[
     Path | None,
-    typer.Option(help="Write the first flight or the log to a recording for the viewer rerun (.rrd)."),
+    typer.Option(help="Write the first flight, or the log, to this file (.rrd) for the viewer rerun."),
 ]
 Mcap = Annotated[
-    Path | None, typer.Option(help="Write the first flight or the log to an MCAP file, for Foxglove.")
+    Path | None,
+    typer.Option(help="Write the first flight, or the log, to this MCAP file (.mcap) for Foxglove."),
 ]
-Duration = Annotated[float | None, typer.Option(min=0.1, help="Length in seconds; default: the scenario's.")]
+Duration = Annotated[
+    float | None, typer.Option(min=0.1, help="Length of each flight in seconds. Default: the scenario's.")
+]
 OWN_CONTROLLER = (
-    "Attitude controller: cascaded, a spiking controller's weights, or your own file.py:make, a function of "
-    "sample rate and vehicle. Other controllers than cascaded replace its attitude and body-rate loops."
+    "Attitude controller: cascaded, the weights of a spiking controller, or your own file.py:make. The "
+    "function make is called with the sample rate and the vehicle. Any controller but cascaded replaces the "
+    "attitude and body-rate loops of the cascade."
 )
 
 
 def settings_of(texts: Sequence[str] | None, model: type[Model]) -> Model:
-    """Settings given by --set, as a model; the error for an unknown name lists the valid ones."""
+    """Parse the settings given by --set into a model; the error for an unknown name lists the valid names."""
     from ..config.toml import parse
 
     return parse(fields_of(texts), model, "--set")
 
 
 def fields_of(texts: Sequence[str] | None, *options: str) -> dict[str, object]:
-    """Settings given by --set; those named in `options` are refused, because another option sets them."""
+    """Parse the settings given by --set; names in `options` are refused, because another option sets them."""
     from ..config.toml import merged
 
     fields: dict[str, object] = {}
@@ -86,20 +100,23 @@ def fields_of(texts: Sequence[str] | None, *options: str) -> dict[str, object]:
         fields = merged(fields, {name.split(".")[0]: value})
     for name in options:
         if name in fields:
-            raise ValueError(f"--set {name}: it has an option of its own, or follows from the others")
+            raise ValueError(
+                f"--set cannot change {name}: another option sets {name}, or its value follows from other "
+                "settings"
+            )
     return fields
 
 
 def pair_of(text: str) -> tuple[str, object]:
-    """Name and value of a setting "name=value"; the value is read as TOML, or else as text."""
+    """Split a setting "name=value"; the value is parsed as TOML or, if that fails, kept as text."""
     name, equals, value = text.partition("=")
     if not equals:
-        raise ValueError(f"--set takes name=value or table.name=value, not {text!r}")
+        raise ValueError(f"--set expects name=value or table.name=value, not {text!r}")
     try:
         return name, tomllib.loads(f"value = {value}")["value"]
     except (ValueError, RecursionError):  # not TOML, or a whole number of thousands of digits
         if value.strip()[:1] in ("(", "[", "{"):
             raise ValueError(
-                f"--set {name}: cannot read {value}; lists are [1, 2], tables {{a = 1}}"
+                f"--set {name}: cannot parse {value}; write a list as [1, 2] and a table as {{a = 1}}"
             ) from None
         return name, value

@@ -13,21 +13,24 @@ def report(
     paths: Annotated[
         list[str],
         typer.Argument(
-            metavar="PATH...",
-            help="A folder written by bench, a dataset (.zarr), weights (a file or a name), or a log; or "
-            "folders written by bench --task.",
+            metavar="PATH",
+            help="A folder written by bench, a dataset (.zarr), weights (a file or a name), or a log. "
+            "Several folders written by bench --task are also accepted.",
         ),
     ],
     out: Annotated[
         Path | None,
-        typer.Option(help="For a benchmark: HTML file; default: PATH/report.html. For a dataset: PNG file."),
+        typer.Option(
+            help="For a benchmark: HTML file to write (default: PATH/report.html). For a dataset: PNG file "
+            "to write."
+        ),
     ] = None,
     verify: Annotated[
-        bool, typer.Option("--verify", help="For a dataset: compare every file with its digest.")
+        bool, typer.Option("--verify", help="For a dataset: compare every file with its checksum.")
     ] = False,
     data: Annotated[
         list[Path] | None,
-        typer.Option(help="For weights: dataset on which to record the neurons; repeat for more."),
+        typer.Option(help="For weights: dataset on which to run the network. Repeat the option to add more."),
     ] = None,
     mount: Mount = None,
     truth: Truth = None,
@@ -35,22 +38,25 @@ def report(
     find_mount: Annotated[
         Literal["best", "level"] | None,
         typer.Option(
-            help="For a log: estimate --mount. best: from the true attitude, or from hover if there is "
-            "none. level: from the mean force in hover, even if there is a true attitude."
+            help="For a log: estimate the value for --mount. best: use the true attitude if the log has one, "
+            "and the mean force in hover otherwise. level: always use the mean force in hover."
         ),
     ] = None,
 ) -> None:
     """Show a benchmark, a dataset, weights or a log, depending on PATH.
 
-    For a benchmark, the command writes the report again. For folders of bench --task, it writes one
-    leaderboard of all entries. For a dataset, it prints the contents; with --out, it draws the
-    distributions (the paper's Fig. 3) and one flight. For weights of an Att-SNN, it prints how many of the
-    chip's cores the network needs; with --data, also the spikes, operations, modelled energy and error on
-    these flights. For a log, it prints the contents, the problems, and the signal that is used as the
-    truth.
+    For a benchmark, the command writes the HTML report again. For folders written by bench --task, the
+    command writes one leaderboard of all entries.
 
-    A dataset's files are compared with their digests only if the size or the time stamp of a file has
-    changed; --verify always compares them.
+    For a dataset, the command prints a summary. With --out, the command also draws one flight and the
+    distributions of readings and attitudes. Files whose size or time stamp has changed are compared with
+    their checksums; with --verify, all files are compared.
+
+    For weights of a spiking network, the command prints the number of cores that the network needs on a
+    Loihi chip. With --data, the command also prints spikes, operations, modelled energy and error on the
+    flights of that dataset.
+
+    For a log, the command prints a summary, any problems in the log, and the source of the true attitude.
 
     Example: quadsim report reports/bench
 
@@ -71,7 +77,7 @@ def report(
         _refuse_others(given, "a task", "--out")
         report_entries([Path(each) for each in paths], out or place / "leaderboard.html")
     elif len(paths) > 1:
-        raise ValueError(f"{path}: holds no entry of a task; of other things give one PATH")
+        raise ValueError(f"{path}: contains no entry of a task; for anything else, give one PATH only")
     elif is_circuit(path):
         _refuse_others(given, "a circuit", "--data")
         _report_circuit(path, data or [])
@@ -85,7 +91,7 @@ def report(
         _refuse_others(given, "a benchmark", "--out")
         report_benchmark(place, out)
     elif place.is_dir() and (out is not None or not any(place.iterdir())):
-        raise ValueError(f"{path}: holds no finished entry of a task, no benchmark and no dataset")
+        raise ValueError(f"{path}: contains no finished entry of a task, no benchmark and no dataset")
     elif place.exists():
         _refuse_others(given, "a log", "--mount", "--truth", "--imu", "--find-mount")
         _report_log(place, mount, truth, imu, find_mount)
@@ -96,7 +102,7 @@ def report(
 def _refuse_others(given: dict[str, object], what: str, *allowed: str) -> None:
     for name, value in given.items():
         if value and name not in allowed:
-            raise ValueError(f"{name} is not for {what}, which takes {', '.join(allowed)}")
+            raise ValueError(f"{name} does not apply to {what}; it accepts only {', '.join(allowed)}")
 
 
 def _report_log(
@@ -121,7 +127,7 @@ def _report_dataset(path: Path, verify: bool, out: Path | None) -> None:
     if verify:
         with progress_bar("verify", "flights") as progress:
             total = verify_dataset(path, progress)
-        say(f"{path}: all {total} flights are whole")
+        say(f"{path}: all {total} flights match their checksums")
     info = dataset_info(path).items()
     print_table([(k, f"{v:.3f}" if isinstance(v, float) else v) for k, v in info if k != "config"])
     if out is not None:

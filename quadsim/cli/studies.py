@@ -13,19 +13,28 @@ from .options import Force, Mcap, Mount, Rerun, Seed, Workers, settings_of
 def evaluate(
     data: Annotated[
         Path | None,
-        typer.Option(help="Dataset to score on; use flights that were not used for training or tuning."),
+        typer.Option(
+            help="Dataset to score estimators on. Use flights that were not used for training or tuning."
+        ),
     ] = None,
     logs: Annotated[
         list[Path] | None,
-        typer.Option(help="Log to score on, instead of --data; repeat the option to add more."),
+        typer.Option(help="Log to score estimators on, instead of --data. Repeat the option to add more."),
     ] = None,
     estimator: Annotated[
         list[str] | None,
-        typer.Option(help="A name, weights or your own file.py:Class; repeat for more. Default: all."),
+        typer.Option(
+            help="Estimator: a name, weights or your own file.py:Class. Repeat the option to add more. "
+            "Default: all."
+        ),
     ] = None,
     within: Annotated[
         float,
-        typer.Option(min=1, max=180, help="For logs: largest true inclination scored, in degrees."),
+        typer.Option(
+            min=1,
+            max=180,
+            help="For logs: score only samples whose true inclination is at most this, in degrees.",
+        ),
     ] = 45.0,
     mount: Mount = None,
     rerun: Rerun = None,
@@ -34,12 +43,13 @@ def evaluate(
         list[str] | None,
         typer.Option(
             "--set",
-            help="Parameters of filters, as name=value: tuning (a shipped name or a file from quadsim tune; "
-            "default: those of the vehicle) or vehicle (for ekf-drag: a shipped name or a TOML file; "
-            "default: the dataset's vehicle; logs have no default). Repeat for more.",
+            help="Parameters of filters, as name=value. tuning: a shipped name or a file from quadsim tune "
+            "(default: the parameters tuned for the vehicle). vehicle: the airframe for ekf-drag, as a "
+            "shipped name or a TOML file (default: the vehicle of the dataset; there is no default for "
+            "logs). Repeat the option to set more.",
         ),
     ] = None,
-    out: Annotated[Path, typer.Option(help="Folder for table, figures and report.")] = Path(
+    out: Annotated[Path, typer.Option(help="Folder for the table, the figures and the report.")] = Path(
         "reports/evaluate"
     ),
     force: Force = False,
@@ -47,13 +57,14 @@ def evaluate(
 ) -> None:
     """Compare estimators on stored flights or logs: errors with confidence intervals, convergence, run time.
 
-    Each estimator is compared with the best one flight by flight. Estimators are tied if the difference is
-    not significant. For each network, the table also gives the error of the silenced network (output
-    weights of zero).
+    The command compares each estimator with the best one, flight by flight. Two estimators are tied if the
+    difference is not significant. For each network, the table also gives the error of the silenced network,
+    which has output weights of zero.
 
-    For a dataset, the command writes evaluation.csv, figures of errors and convergence, and report.html. For
-    logs, it writes logs.csv, whose row "level" shows how far the log is from level, and report.html with
-    readings, attitudes and errors on one time axis.
+    For a dataset, the command writes evaluation.csv, figures of errors and convergence, and report.html.
+
+    For logs, the command writes logs.csv and report.html. The row "level" of the table shows how far the log
+    is from level. The report shows readings, attitudes and errors on one time axis.
 
     If a dataset or a log contains rotor speeds, imm and your own estimators can use them.
 
@@ -65,9 +76,9 @@ def evaluate(
 
     given = settings_of(set_, Filters)
     if (data is None) == (not logs):
-        raise ValueError("one of --data and --logs is required")
+        raise ValueError("give either --data or --logs")
     if (rerun or mcap) and len(logs or ()) != 1:
-        raise ValueError("--rerun and --mcap show one log: give one --logs")
+        raise ValueError("--rerun and --mcap need exactly one --logs")
     if logs:
         import numpy as np
 
@@ -90,7 +101,7 @@ def evaluate(
             )
         return
     if mount is not None:
-        raise ValueError("--mount is of the IMU of --logs; a dataset is in body axes")
+        raise ValueError("--mount applies only to --logs, because a dataset is in body axes")
     assert data is not None
     from scenarios.report.evaluation import evaluate_dataset
 
@@ -99,28 +110,32 @@ def evaluate(
 
 
 def paper(
-    out: Annotated[Path, typer.Option(help="Folder for the page, its figures and all intermediate results.")],
+    out: Annotated[Path, typer.Option(help="Folder for the page, the figures and all intermediate results.")],
     only: Annotated[
         str | None,
         typer.Option(
-            help="Parts to make, separated by commas, such as table1,fig5. Parts: table1, table2, fig3 to "
-            "fig9, operations, loop, rate, minutes. Default: all."
+            help="Parts to make, separated by commas, such as table1,fig5. The parts are table1, table2, "
+            "fig3 to fig9, operations, loop, rate and minutes. Default: all parts."
         ),
     ] = None,
     preset: Annotated[
         str,
-        typer.Option(help="quick: short flights and trainings, for a first look. full: the paper's sizes."),
+        typer.Option(
+            help="quick: short flights and trainings, for a first look. full: as many flights and epochs as "
+            "the paper used."
+        ),
     ] = "quick",
     seed: Seed = 0,
     workers: Workers = None,
 ) -> None:
     """Reproduce every table and figure of the paper, and judge which of its claims hold in simulation.
 
-    The paper is Stroobants, Dupeyroux and de Croon (2022). All data is simulated: the command generates
-    flights, tunes filters, and trains and flies networks. It writes paper.md with its figures.
+    The paper is "Neuromorphic computing for attitude estimation onboard quadrotors" by Stroobants, Dupeyroux
+    and de Croon (2022). The command generates flights, tunes filters, and trains and flies networks. All data
+    is simulated. The command writes the results to paper.md.
 
-    The preset quick takes some minutes on two cores and judges no claims; full takes a night. Finished
-    parts are stored in the folder, so the same command resumes a run that was stopped.
+    The preset quick takes some minutes on two cores and does not judge the claims. The preset full takes a
+    night. Finished parts are stored in the folder, so the same command resumes a run that was stopped.
 
     Example: quadsim paper --out reports/paper --only table2,fig6
     """

@@ -1,1 +1,1 @@
-"""Configuration: TOML goes in, a frozen, typed model or one clear error comes out; bounds and units."""
+"""Configuration: TOML files are parsed into frozen, typed models whose numbers have bounds and units."""

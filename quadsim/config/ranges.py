@@ -1,6 +1,6 @@
-"""Numbers of a configuration: each kind has its unit and the range in which it makes sense.
+"""Types of the numbers in a configuration, each with its unit and range.
 
-The ends are wide: a value beyond them is a slip of the pen or of the unit, and no vehicle, sensor or weather.
+The ranges are wide. A value outside its range is a typing error or has the wrong unit.
 """
 
 import math
@@ -14,7 +14,7 @@ from pydantic_core import CoreSchema, core_schema
 
 @dataclass(frozen=True)
 class Between:
-    """A range with both its ends, and the unit that the message of a number outside it names."""
+    """A closed range and its unit, which appears in the error message for a number outside the range."""
 
     low: float
     high: float
@@ -25,10 +25,10 @@ class Between:
         return core_schema.no_info_after_validator_function(self.check, handler(source))
 
     def check(self, value: float) -> float:
-        """The value.
+        """Return the value if it is in the range.
 
         Raises:
-            ValueError: It is outside the range.
+            ValueError: The value is outside the range.
         """
         if self.low <= value <= self.high:
             return value
@@ -37,10 +37,10 @@ class Between:
         raise ValueError(f"should be {ends}{near}")
 
     def of(self, name: str, value: float) -> float:
-        """The value of an argument of this name.
+        """Return the value of the named argument if it is in the range.
 
         Raises:
-            ValueError: It is outside the range, or no number.
+            ValueError: The value is outside the range or not a number.
         """
         if not isinstance(value, Real):
             raise ValueError(f"{name} = {value!r}: should be a number")
@@ -52,26 +52,27 @@ class Between:
 
 SAMPLE_RATE = Between(1e-3, 1e5, "Hz")
 SAMPLES = Between(1, 4_000_000, "samples")
-"""Length of a flight."""
+"""Number of samples in a flight."""
 
 
 RATE_MAX = math.radians(4000.0)
-"""Largest rate of an axis that is taken for a reading [rad/s]: that of the widest IMU, TDK's ICM-20649."""
+"""Largest body rate of an axis that counts as a reading [rad/s]: the range of TDK's ICM-20649."""
 FORCE_MAX = 32.0 * 9.80665
-"""Largest specific force of an axis that is taken for a reading [m/s²]: that IMU's 30 g, rounded up."""
+"""Largest specific force of an axis that counts as a reading [m/s²]: 30 g, the range of the ICM-20649,
+rounded up."""
 ROTOR_SPEED_MAX = 1e4
-"""Largest speed of a rotor that is taken for a reading [rad/s]: 95 000 rpm, beyond any propeller's."""
+"""Largest rotor speed that counts as a reading [rad/s]: 95 000 rpm, faster than any propeller."""
 
 
 def steps_of(duration_s: float, rate_hz: float) -> int:
-    """Samples of a flight.
+    """Return the number of samples in a flight.
 
     Args:
-        duration_s: Its length [s].
+        duration_s: Length of the flight [s].
         rate_hz: Samples per second.
 
     Raises:
-        ValueError: The rate makes no sense, or the flight has no sample, or too many.
+        ValueError: The rate is out of range, or the flight has no samples or too many.
     """
     SAMPLE_RATE.of("rate_hz", rate_hz)
     longest = SAMPLES.high / rate_hz
@@ -86,14 +87,14 @@ def _rising(ends: tuple[float, float]) -> tuple[float, float]:
 
 
 Rising = AfterValidator(_rising)
-"""For a pair: the least and the largest of what is drawn."""
+"""Validates a pair: the smallest and the largest value that can be drawn."""
 
 Share: TypeAlias = Annotated[float, Between(0.0, 1.0)]
 SampleRate: TypeAlias = Annotated[float, SAMPLE_RATE]
 Frequency: TypeAlias = Annotated[float, Between(1e-3, 1e5, "Hz")]
 
 Instant: TypeAlias = Annotated[float, Between(0.0, 86400.0, "s")]
-"""A time after the start, or a length of time that may be nothing."""
+"""A time after the start, or a duration that may be zero."""
 Duration: TypeAlias = Annotated[float, Between(1e-3, 86400.0, "s")]
 Delay: TypeAlias = Annotated[float, Between(0.0, 1.0, "s")]
 
@@ -103,19 +104,19 @@ Position: TypeAlias = tuple[Coordinate, Coordinate, Coordinate]
 Distance: TypeAlias = Annotated[float, Between(1e-3, 1e4, "m")]
 _ArmPart: TypeAlias = Annotated[float, Between(-5.0, 5.0, "m")]
 Arm: TypeAlias = tuple[_ArmPart, _ArmPart, _ArmPart]
-"""From the centre of mass to a part of the vehicle."""
+"""Distance from the centre of mass to a part of the vehicle."""
 Size: TypeAlias = Annotated[float, Between(1e-3, 5.0, "m")]
 
 Speed: TypeAlias = Annotated[float, Between(0.0, 100.0, "m/s")]
 _WindPart: TypeAlias = Annotated[float, Between(-100.0, 100.0, "m/s")]
 Wind: TypeAlias = tuple[_WindPart, _WindPart, _WindPart]
-"""Faster air is met in a tornado; no quadrotor flies there."""
+"""Velocity of the air. Only tornadoes are faster than the limit."""
 
 Heading: TypeAlias = Annotated[float, Between(-3600.0, 3600.0, "°")]
 _Turn: TypeAlias = Annotated[float, Between(-360.0, 360.0, "°")]
 Rotation: TypeAlias = tuple[_Turn, _Turn, _Turn]
 PeakTilt: TypeAlias = Annotated[float, Between(0.1, 55.0, "°")]
-"""Tilt that a trajectory asks for; the controller stops at 60°."""
+"""Tilt that a trajectory commands; the controller limits the tilt to 60°."""
 RateDeg: TypeAlias = Annotated[float, Between(0.0, 4000.0, "°/s")]
 Force: TypeAlias = Annotated[float, Between(0.0, 1000.0, "m/s²")]
 _ForcePart: TypeAlias = Annotated[float, Between(-1000.0, 1000.0, "m/s²")]
@@ -125,5 +126,6 @@ Mass: TypeAlias = Annotated[float, Between(1e-3, 1000.0, "kg")]
 RotorSpeed: TypeAlias = Annotated[float, Between(1.0, 1e5, "rad/s")]
 
 Engine = Literal["auto", "mujoco"]
-"""What integrates the motion: MuJoCo, or wherever that is the same its scheme for a free body, compiled."""
+"""Integrator of the motion: MuJoCo, or "auto", a compiled version of MuJoCo's scheme for a free body where
+possible."""
 ENGINES: tuple[Engine, ...] = get_args(Engine)

@@ -1,7 +1,7 @@
-"""Configuration: a TOML file, of ours or of the user, becomes a frozen and typed model, or one clear error.
+"""Configuration: TOML files, shipped or the user's, are parsed into frozen, typed models.
 
-A TOML file stands alone: it inherits nothing, and a key that the model does not know is an error. Models go
-to JSON and back without loss with pydantic's own `model_dump_json` and `model_validate_json`.
+A TOML file is complete: it inherits nothing, and an unknown key is an error. Pydantic's `model_dump_json` and
+`model_validate_json` convert models to JSON and back without loss.
 """
 
 import difflib
@@ -21,7 +21,7 @@ LARGEST = 1_000_000
 
 
 class Strict(BaseModel):
-    """Parent of every configuration model: frozen, finite numbers only, no unknown keys."""
+    """Parent of every configuration model: frozen, with finite numbers; unknown keys are errors."""
 
     model_config = ConfigDict(
         extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True, validate_default=True
@@ -32,15 +32,16 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def preset_names(folder: str) -> list[str]:
-    """Names of the presets that ship in a folder ("vehicles", "imus", "scenarios"), sorted."""
+    """Return the names of the presets that ship in a folder ("vehicles", "imus", "scenarios"), sorted."""
     return sorted(item.stem for item in shipped_folder(folder).glob("*.toml"))
 
 
 def load_toml(source: str | Path, folder: str, model: type[Model]) -> Model:
-    """Load a preset or a user's TOML file into a model; paths in one of a flight count from its folder.
+    """Load a preset or a user's TOML file into a model.
 
     Args:
-        source: Name of a preset, or a path: anything that ends in `.toml` or contains a directory.
+        source: Name of a preset, or a path: anything that ends in `.toml` or contains a directory. Relative
+            paths inside a recipe or a scenario start from the folder of that file.
         folder: Kind of preset: "vehicles", "imus" or "scenarios".
         model: Model to build.
 
@@ -54,14 +55,14 @@ def load_toml(source: str | Path, folder: str, model: type[Model]) -> Model:
 
 
 def read_toml(text: str, label: str) -> dict[str, Any]:
-    """Tables of a TOML text.
+    """Parse TOML text into tables.
 
     Args:
         text: The text.
-        label: What to call it in an error.
+        label: Name of the text in error messages.
 
     Raises:
-        ValueError: One line: it is not valid TOML.
+        ValueError: The text is not valid TOML.
     """
     try:
         return tomllib.loads(text)
@@ -70,10 +71,10 @@ def read_toml(text: str, label: str) -> dict[str, Any]:
 
 
 def _located(value: Any, folder: Path, key: str = "") -> Any:
-    """A file's tables with the relative paths in them taken from its folder.
+    """Return the tables of a file, with relative paths starting from the file's folder.
 
-    Paths are texts in the keys `vehicle`, `imu` and `external`, unless they are names of presets, and in the
-    key `function`.
+    The keys `vehicle`, `imu` and `external` hold a path unless they hold the name of a preset. The key
+    `function` always holds a path.
     """
     if isinstance(value, dict):
         return {name: _located(inner, folder, name) for name, inner in value.items()}
@@ -88,26 +89,28 @@ def _located(value: Any, folder: Path, key: str = "") -> Any:
 
 
 def _is_preset(source: str | Path) -> bool:
-    """Whether a source is a name, not a path: no Path, no suffix of TOML and no folder."""
+    """Return whether a source is the name of a preset and not a path."""
     path = Path(source)
     return not (isinstance(source, Path) or path.suffix == ".toml" or len(path.parts) > 1)
 
 
 def read_text(path: Path, label: str) -> str:
-    """Text of a user's file in UTF-8.
+    """Read a user's file as UTF-8 text.
 
     Args:
         path: The file.
-        label: What to call it in an error.
+        label: Name of the file in error messages.
 
     Raises:
-        ValueError: One line: it is not a plain file, too large, not text, or cannot be read.
+        ValueError: The path is not a plain file, or the file is too large, not text or not readable.
     """
     try:
         if path.exists() and not path.is_file():
-            raise ValueError(f"{label}: is not a plain file")
+            raise ValueError(f"{label}: not a plain file")
         if (size := path.stat().st_size) > LARGEST:
-            raise ValueError(f"{label}: {size / 1e6:.0f} MB; at most {LARGEST / 1e6:g} MB are read")
+            raise ValueError(
+                f"{label}: the file has {size / 1e6:.0f} MB; at most {LARGEST / 1e6:g} MB are allowed"
+            )
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise ValueError(
@@ -118,13 +121,15 @@ def read_text(path: Path, label: str) -> str:
 
 
 def parse(data: dict[str, object], model: type[Model], label: str, folder: Path | None = None) -> Model:
-    """Build a model from the tables of a TOML file; numbers in quotes and the like are not converted.
+    """Build a model from the tables of a TOML file.
+
+    Values of the wrong type, such as quoted numbers, are errors.
 
     Args:
         data: Content of the file.
         model: Model to build.
-        label: What to call the data in an error, usually the file's name.
-        folder: Where relative paths in them begin; None leaves them as they are.
+        label: Name of the data in error messages, usually the file name.
+        folder: Folder from which relative paths start; None leaves paths unchanged.
 
     Raises:
         ValueError: One line with the label, the key, its value and what is allowed.
@@ -133,15 +138,15 @@ def parse(data: dict[str, object], model: type[Model], label: str, folder: Path 
         data = data if folder is None else _located(data, folder)
         return model.model_validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as error:
-        raise ValueError(f"{label}: {describe(error, model)}") from error
+        raise ValueError(": ".join(filter(None, (label, describe(error, model))))) from error
 
 
 def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Values with some of them changed; of a table, only the keys that a change names.
+    """Return values with some of them changed; in a table, only the changed keys are replaced.
 
     Args:
-        base: Values, of which tables are models or mappings.
-        changes: What differs from them.
+        base: The original values; tables are models or mappings.
+        changes: The new values.
     """
     out = dict(base)
     for name, value in changes.items():
@@ -154,9 +159,9 @@ def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any
 
 
 def describe(error: ValidationError, model: type[BaseModel]) -> str:
-    """One line for the first thing wrong in a model's input, with the number of further ones.
+    """Describe the first error in a model's input in one line, with the number of further errors.
 
-    Unknown keys come first: a mistyped key is the reason why another one is missing.
+    Unknown keys come first, because a mistyped key also causes a missing key.
     """
     first, *others = sorted(
         error.errors(include_url=False), key=lambda each: each["type"] != "extra_forbidden"
@@ -165,19 +170,19 @@ def describe(error: ValidationError, model: type[BaseModel]) -> str:
 
 
 def nearest(name: str, valid: Iterable[str]) -> str:
-    """Hint for a mistyped name: the nearest valid one if one is near, and the list of them all."""
+    """Return a hint for a mistyped name: the nearest valid name, if one is similar, and all valid names."""
     names = list(valid)
     close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     return (f'did you mean "{close[0]}"? ' if close else "") + f"valid: {', '.join(names) or 'none'}"
 
 
 def shipped_folder(folder: str) -> Path:
-    """Where the presets of a kind are: beside this package, whatever the working directory holds."""
+    """Return the folder of the presets of a kind; it never depends on the working directory."""
     return (ROOT if folder.startswith("scenarios") else ASSETS) / folder
 
 
 def _find(source: str | Path, folder: str) -> Path:
-    """File of a preset name or of a path."""
+    """Return the file that a preset name or a path refers to."""
     path = Path(source).expanduser()
     if not _is_preset(source):
         if path.is_file():
@@ -211,11 +216,13 @@ def _describe_one(error: ErrorDetails, model: type[BaseModel]) -> str:
             tag, known = (str(context[key]).replace("'", "") for key in ("discriminator", "expected_tags"))
             return f'{path}.{tag} = "{context["tag"]}"; {nearest(context["tag"], known.split(", "))}'
     message = " ".join(error["msg"].removeprefix("Value error, ").removeprefix("Input ").split())
+    if path and isinstance(error["input"], dict):  # the message names the key of the table
+        return f"{path}: {message}"
     return f"{path} = {_shorten(error['input'])}: {message}" if path else message
 
 
 def _follow(location: tuple[int | str, ...], model: type[BaseModel]) -> tuple[str, list[type[BaseModel]]]:
-    """Key path as the user would write it, and the models that could hold its last key."""
+    """Return the path of a key as the user would write it, and the models that could have its last key."""
     path, inside = "", [model]
     if issubclass(model, RootModel):
         inside = _models_in_field(model, "root")
@@ -236,7 +243,7 @@ def _follow(location: tuple[int | str, ...], model: type[BaseModel]) -> tuple[st
 
 
 def _dotted(model: type[BaseModel]) -> list[str]:
-    """Keys of the tables in a model, as "table.key"."""
+    """Return the keys of the tables in a model, as "table.key"."""
     tables = ((name, inner) for name in model.model_fields for inner in _models_in_field(model, name))
     return [f"{name}.{key}" for name, inner in tables for key in inner.model_fields]
 
@@ -246,14 +253,14 @@ def _models_in_field(model: type[BaseModel], key: str) -> list[type[BaseModel]]:
 
 
 def _models_in(annotation: object) -> list[type[BaseModel]]:
-    """Models named anywhere in a type annotation."""
+    """Return the models named anywhere in a type annotation."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return [found for part in get_args(annotation) for found in _models_in(part)]
 
 
 def _tags(model: type[BaseModel]) -> set[object]:
-    """Literal values of a model's fields, by which a union tells its members apart."""
+    """Return the literal values of a model's fields, which distinguish the members of a union."""
     annotations = (field.annotation for field in model.model_fields.values())
     return {value for item in annotations if get_origin(item) is Literal for value in get_args(item)}
 

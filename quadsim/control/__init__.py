@@ -1,1 +1,1 @@
-"""Control: measured state and set-point go in, rotor speeds come out; gains from phase margins."""
+"""Control: rotor speeds from the measured state and the set-point; gains from phase margins."""

@@ -1,7 +1,7 @@
-"""Attitude controllers of one's own, in place of the cascade's levels of attitude and body rate.
+"""The protocol of attitude controllers, which replace the attitude and body-rate loops of the cascade.
 
-The levels of position and velocity stay in front of them and give the set-point, the allocation of rotor
-speeds with its limits stays behind.
+The position and velocity loops of the cascade compute the set-point of an attitude controller. The cascade's
+allocation converts its command to rotor speeds within their limits.
 """
 
 from collections.abc import Callable
@@ -21,13 +21,14 @@ Array = NDArray[np.float64]
 
 
 class AttitudeController(Protocol):
-    """Follows set-points of attitude for n vehicles, one sample at a time.
+    """Controls the attitude of n vehicles, one sample at a time.
 
-    One with a true `rotor_speeds` returns the speeds of the rotors from `update`, (n, rotors) [rad/s].
+    If a controller has an attribute `rotor_speeds` that is true, `update` returns rotor speeds, (n, rotors)
+    [rad/s].
     """
 
     def reset(self, n: int) -> None:
-        """Start n vehicles. A controller that also has `restart(ids)` can start single ones again."""
+        """Start n vehicles. A controller that also has `restart(ids)` can restart single vehicles."""
         ...
 
     def update(self, set_point: Array, gyro: Array, accel: Array, roll_pitch: Array) -> Array:
@@ -35,25 +36,25 @@ class AttitudeController(Protocol):
 
         Args:
             set_point: (n, 4) roll, pitch [rad], yaw rate [rad/s] and collective thrust per mass [m/s²].
-            gyro: (n, 3) measured body rate [rad/s]; the last valid one where a sample is missing.
-            accel: (n, 3) measured specific force [m/s²]; the last valid one where a sample is missing.
+            gyro: (n, 3) measured body rate [rad/s]. A missing sample is replaced by the last valid one.
+            accel: (n, 3) measured specific force [m/s²]. A missing sample is replaced by the last valid one.
             roll_pitch: (n, 2) estimated roll and pitch [rad].
 
         Returns:
-            (n, 4) angular acceleration, body axes [rad/s²], and collective thrust per mass [m/s²].
+            Angular acceleration in body axes [rad/s²] and collective thrust per mass [m/s²], shape (n, 4).
         """
         ...
 
 
 MakeController = Callable[[float, Vehicle], AttitudeController]
-"""Called as make(rate_hz, vehicle)."""
+"""Factory of controllers, called as make(rate_hz, vehicle)."""
 
 
 def made(make: MakeController, rate_hz: float, vehicle: Vehicle) -> AttitudeController:
-    """The controller that a factory makes.
+    """Return the controller that a factory makes.
 
     Raises:
-        ValueError: It cannot, or what it makes is no controller.
+        ValueError: The factory fails, or returns an object that is not a controller.
     """
     name = getattr(make, "__name__", type(make).__name__)
     with named_errors(f"controller {name} is made with (rate_hz, vehicle), and"):
@@ -64,10 +65,10 @@ def made(make: MakeController, rate_hz: float, vehicle: Vehicle) -> AttitudeCont
 
 
 def start_own(part: Any, name: str, ids: NDArray[np.int64], n: int, **start: Any) -> None:
-    """Start some of n vehicles of a user's controller or estimator: all by `reset`, others by `restart`.
+    """Start some of the n vehicles of a user's controller or estimator: all by `reset`, a part by `restart`.
 
     Raises:
-        ValueError: It fails, or cannot restart single vehicles.
+        ValueError: The user's code fails or cannot restart single vehicles.
     """
     if len(ids) == n:
         with named_errors(f"{name}: reset"):
@@ -80,10 +81,10 @@ def start_own(part: Any, name: str, ids: NDArray[np.int64], n: int, **start: Any
 
 
 class InnerLoop:
-    """A controller of one's own for the records of a loop.
+    """Connects an attitude controller to the records of a loop.
 
     Args:
-        controller: It.
+        controller: The attitude controller.
         records: (n,) records with the fields `set_point`, `measured` and `controller`.
     """
 
@@ -91,24 +92,27 @@ class InnerLoop:
         self.controller, self.records = controller, records
         self.name = type(controller).__name__
         self.set_point = np.zeros((len(records), 4))
-        """Of the last sample, (n, 4)."""
+        """Set-points of the last sample, (n, 4)."""
         self._accel = np.zeros((len(records), 3))
 
     def reset(self, ids: NDArray[np.int64]) -> None:
-        """Start some vehicles, see `start_own`."""
+        """Start some vehicles; see `start_own`."""
         self._accel[ids] = 0.0
         start_own(self.controller, f"controller {self.name}", ids, len(self.records))
 
     def steer(self, level: int, accel: Array) -> int:
-        """Write rotor speeds for the commands in the records; the level at which they stand there.
+        """Write rotor speeds for the commands in the records.
+
+        Return the number of the level of the written command.
 
         Args:
-            level: Number of the level of the commands, 0 position … 4 rotor; nothing is done at 3 and 4,
-                which are below the controller.
-            accel: (n, 3) specific force as read [m/s²].
+            level: Number of the level of the commands, 0 (position) to 4 (rotor). Commands at levels 3 and 4
+                bypass the controller.
+            accel: (n, 3) measured specific force [m/s²].
 
         Raises:
-            ValueError: The controller fails, or what it returns is not finite numbers of their shape.
+            ValueError: The controller fails, or returns numbers that are not finite or an array of the wrong
+                shape.
         """
         if level > ATTITUDE:
             return level
@@ -135,13 +139,13 @@ class InnerLoop:
 
 @njit(cache=True)
 def guide_all(level, loops, out):
-    """`attitude_set_point` for records (n,), to `out` (n, 4)."""
+    """Run `attitude_set_point` for records (n,), and write to `out` (n, 4)."""
     for i in range(loops.shape[0]):
         attitude_set_point(level, loops[i].set_point, loops[i].measured, loops[i].controller, out[i])
 
 
 @njit(cache=True)
 def actuate_all(loops, actions):
-    """`actuate` for records (n,) and actions (n, 4)."""
+    """Run `actuate` for records (n,) and actions (n, 4)."""
     for i in range(loops.shape[0]):
         actuate(loops[i].measured, loops[i].controller, actions[i])

@@ -50,7 +50,7 @@ def _clip_norm(x, y, z, limit):
 
 @njit(cache=True)
 def _velocity_stage(c, velocity, wanted, feedforward):
-    """PI on velocity plus feed-forward: the acceleration to ask for, world, a tuple [m/s²]."""
+    """Return the commanded acceleration in world axes, PI on velocity plus feed-forward, a tuple [m/s²]."""
     g, integral = c.gains, c.wind_acc
     ex, ey, ez = wanted[0] - velocity[0], wanted[1] - velocity[1], wanted[2] - velocity[2]
     ki = g.velocity_integral * c.dt
@@ -66,7 +66,7 @@ def _velocity_stage(c, velocity, wanted, feedforward):
 
 @njit(cache=True)
 def _thrust_direction(ax, ay, az):
-    """Unit thrust axis and size of the specific force for an acceleration, the tilt limited to MAX_TILT."""
+    """Return thrust axis and magnitude of the specific force for an acceleration, with limited tilt."""
     fz = max(az + GRAVITY, 0.3 * GRAVITY)
     lateral = math.sqrt(ax * ax + ay * ay)
     scale = min(1.0, fz * math.tan(MAX_TILT) / lateral) if lateral > 0.0 else 1.0
@@ -77,7 +77,7 @@ def _thrust_direction(ax, ay, az):
 
 @njit(cache=True)
 def _attitude_stage(g, q, axis, yaw_error):
-    """P on tilt and yaw: the body rate to ask for, towards a thrust axis (Brescianini & D'Andrea 2018)."""
+    """Return the commanded body rate, P on tilt and yaw (Brescianini & D'Andrea 2018)."""
     bx, by, bz = rotate_inverse_core(q[0], q[1], q[2], q[3], axis[0], axis[1], axis[2])
     sine = math.sqrt(bx * bx + by * by)
     angle = math.atan2(sine, bz)
@@ -89,7 +89,7 @@ def _attitude_stage(g, q, axis, yaw_error):
 
 @njit(cache=True)
 def _rate_stage(c, gyro, wanted):
-    """PI on body rate: the torque to ask for, a tuple [N m]."""
+    """Return the commanded torque, PI on body rate, a tuple [N m]."""
     g, acc = c.gains, c.ang_acc_cmd
     for i in range(3):
         proportional, integral = (g.rate, g.rate_integral) if i < 2 else (g.yaw_rate, g.yaw_rate_integral)
@@ -102,7 +102,7 @@ def _rate_stage(c, gyro, wanted):
 
 @njit(cache=True)
 def _torque(c, gyro):
-    """Torque of the commanded angular acceleration, gyroscopic term included, a tuple [N m]."""
+    """Return the torque for the commanded angular acceleration, with gyroscopic term, a tuple [N m]."""
     inertia, acc = c.inertia, c.ang_acc_cmd
     return (
         inertia[0] * acc[0] + (inertia[2] - inertia[1]) * gyro[1] * gyro[2],
@@ -113,7 +113,10 @@ def _torque(c, gyro):
 
 @njit(cache=True)
 def _allocate(c, thrust, torque):
-    """Write rotor speeds for thrust and torque; what does not fit gives way: yaw first, then thrust."""
+    """Write rotor speeds for thrust and torque.
+
+    At the limits, reduce first the yaw torque and then the thrust.
+    """
     out = c.rotor_vel_cmd
     low, high = (IDLE * c.max_rotor_vel) ** 2, c.max_rotor_vel * c.max_rotor_vel
     most, least = -math.inf, math.inf
@@ -136,7 +139,7 @@ def _allocate(c, thrust, torque):
 
 @njit(cache=True)
 def _tilt_rate(c, q, target):
-    """Body rate about x and y with which the set-point's own thrust axis z turns, ω = z × ż; it is stored."""
+    """Return and store the x and y body rate at which the set-point's thrust axis z turns, ω = z × ż."""
     acceleration, last = target.acceleration, c.last_axis
     x = y = 0.0
     rx, ry, rz, _ = _thrust_direction(acceleration[0], acceleration[1], acceleration[2])
@@ -153,9 +156,11 @@ def _tilt_rate(c, q, target):
 
 @njit(cache=True)
 def _guide(level, u, m, c):
-    """The levels above the body rate: the rate to ask for, a tuple [rad/s], and the thrust per mass [m/s²].
+    """Run the loops above the body rate.
 
-    The commanded thrust axis is left in the record.
+    Return the commanded rate, a tuple [rad/s], and thrust per mass [m/s²].
+
+    The commanded thrust axis is written to the record.
     """
     g, q = c.gains, from_euler_core(m.roll_pitch[0], m.roll_pitch[1], m.yaw)
     thrust, tilt_rate = c.thrust_cmd, (0.0, 0.0)
@@ -190,7 +195,10 @@ def _guide(level, u, m, c):
 
 @njit(cache=True)
 def control(level, u, m, c):
-    """One step of the cascade, to `rotor_vel_cmd` of the record; u is read at position and velocity alone."""
+    """Run one step of the cascade and write `rotor_vel_cmd` of the record.
+
+    The set-point u is read only at the levels position and velocity.
+    """
     if level == ROTOR:
         for i in range(c.rotor_vel_cmd.shape[0]):
             c.rotor_vel_cmd[i] = min(max(c.rotor_vel_cmd[i], 0.0), c.max_rotor_vel)
@@ -204,10 +212,11 @@ def control(level, u, m, c):
 
 @njit(cache=True)
 def attitude_set_point(level, u, m, c, out):
-    """What an attitude controller in place of the inner levels is to follow, at levels down to attitude.
+    """Compute the set-point of an attitude controller that replaces the inner loops.
 
-    It is written to out (4,): roll, pitch [rad], yaw rate [rad/s] and thrust per mass [m/s²]. The body rate
-    that the cascade would ask for is left in `rate_cmd` of the record.
+    The set-point is written to out (4,): roll, pitch [rad], yaw rate [rad/s] and thrust per mass [m/s²]. The
+    cascade's own body-rate command is written to `rate_cmd` of the record. The level must be position,
+    velocity or attitude.
     """
     rate, out[3] = _guide(level, u, m, c)
     c.rate_cmd[0], c.rate_cmd[1], c.rate_cmd[2] = rate
@@ -220,7 +229,7 @@ def attitude_set_point(level, u, m, c, out):
 
 @njit(cache=True)
 def actuate(m, c, action):
-    """Rotor speeds, to `rotor_vel_cmd` of the record, for an action.
+    """Write the rotor speeds for an action to `rotor_vel_cmd` of the record.
 
     Args:
         m: Measured state.
@@ -235,10 +244,11 @@ def actuate(m, c, action):
 class Controller:
     """The cascade for n vehicles of one type, with its integrators.
 
-    After `control`, `rotor_vel_cmd` (n, rotors) holds its command. `records` (n,) are what `control` takes.
+    `control` writes its command to `rotor_vel_cmd` (n, rotors). `records` (n,) are the arguments of the
+    compiled functions.
 
     Args:
-        vehicle: The nominal vehicle; its `controller` gains are used, or designed when it has none.
+        vehicle: The nominal vehicle. If it has no `controller` gains, they are designed.
         n: Number of vehicles.
         rate_hz: Samples per second.
         records: (n,) records of `controller_dtype` to use, for loops with larger records.
@@ -277,7 +287,7 @@ class Controller:
         """Write a command of floats, (n, width) as in the table of this module, to the records.
 
         Returns:
-            The set-points (n,) for `control`; records of them pass through.
+            The set-points (n,) for `control`; records are returned unchanged.
         """
         if command.dtype.names:
             return command

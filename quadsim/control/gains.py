@@ -7,8 +7,9 @@ Every loop is closed around the one inside it, and its gain is the one that give
     velocity  L = (k_vel + k_vel_i / s) · T_att(s) / s
     position  L = k_pos · T_vel(s) / s
 
-with M(s) = 1 / (τ s + 1) the rotor lag, T the sample period (zero-order hold: half a sample), T_est the
-estimator's delay, T_x(s) the closed inner loop. Delays are 3rd-order Padé approximations.
+M(s) = 1 / (τ s + 1) is the rotor lag, T the sample period (a zero-order hold delays by half a sample), T_est
+the delay of the estimator, and T_x(s) the closed inner loop. Delays are approximated by 3rd-order Padé
+functions.
 """
 
 from collections.abc import Mapping
@@ -25,13 +26,15 @@ ESTIMATOR_DELAY = 0.015
 """From sample to estimate: three network steps at 200 Hz [s]."""
 PHASE_MARGIN_DEG = {"rate": 60.0, "attitude": 60.0, "yaw": 70.0, "velocity": 60.0, "position": 70.0}
 INTEGRAL = 0.1
-"""Corner frequency of an integral action over the loop's crossover, which is about the proportional gain."""
+"""Corner frequency of an integral action divided by the loop's crossover frequency, which is about the
+proportional gain."""
 YAW_RATE = 0.4
-"""Yaw-rate gain over roll-rate gain: yaw torque is weak, and a fast loop would only saturate the rotors."""
+"""Yaw-rate gain divided by roll-rate gain. Yaw torque is weak, so a faster loop would only saturate the
+rotors."""
 
 
 class Margins(NamedTuple):
-    """Robustness of one loop."""
+    """Stability margins of one loop."""
 
     crossover: float  #: gain crossover [rad/s]
     phase_deg: float  #: phase margin [deg]
@@ -40,7 +43,7 @@ class Margins(NamedTuple):
 
 
 class Blocks(NamedTuple):
-    """What the loops are made of."""
+    """Transfer functions that the loops are made of."""
 
     actuator: TransferFunction  #: commanded angular acceleration to body rate
     estimator: TransferFunction  #: true attitude to estimate
@@ -48,7 +51,7 @@ class Blocks(NamedTuple):
 
 
 def blocks(vehicle: Vehicle, rate_hz: float, estimator_delay: float) -> Blocks:
-    """Actuator and estimator as transfer functions."""
+    """Return the transfer functions of actuator and estimator."""
     integrator = TransferFunction([1.0], [1.0, 0.0])
     lag = TransferFunction([1.0], [0.5 * (vehicle.motor.tau_up + vehicle.motor.tau_down), 1.0])
     half_a_sample, estimator = (
@@ -58,14 +61,14 @@ def blocks(vehicle: Vehicle, rate_hz: float, estimator_delay: float) -> Blocks:
 
 
 def open_loop(b: Blocks, name: str, gains: Mapping[str, float]) -> TransferFunction:
-    """The open loop "rate", "yaw_rate", "attitude", "yaw", "velocity" or "position", as in the table above.
+    """Return an open loop: "rate", "yaw_rate", "attitude", "yaw", "velocity" or "position".
 
-    Yaw does not come from the estimator; velocity is per m/s² of thrust tilted.
+    Yaw does not pass through the estimator. The velocity loop has units of m/s² of horizontal thrust.
 
     Args:
-        b: What it is made of.
-        name: The loop.
-        gains: Proportional gains of it and of the loops inside it, by their names.
+        b: Transfer functions of actuator and estimator.
+        name: Name of the loop.
+        gains: Proportional gains of this loop and of the loops inside it, by name.
     """
     k = gains[name]
     if name in ("rate", "yaw_rate"):
@@ -82,10 +85,10 @@ def open_loop(b: Blocks, name: str, gains: Mapping[str, float]) -> TransferFunct
 
 
 def design(vehicle: Vehicle, rate_hz: float = 200.0, estimator_delay: float = ESTIMATOR_DELAY) -> Gains:
-    """Gains that give every loop its phase margin (`PHASE_MARGIN_DEG`), from the inside out.
+    """Compute the gains that give every loop its phase margin (`PHASE_MARGIN_DEG`), innermost loop first.
 
     Raises:
-        ValueError: If the delay is too long for a margin to be reached.
+        ValueError: The delay is too long to reach a phase margin.
     """
     b, k = blocks(vehicle, rate_hz, estimator_delay), {}
     for name in PHASE_MARGIN_DEG:
@@ -98,7 +101,7 @@ def design(vehicle: Vehicle, rate_hz: float = 200.0, estimator_delay: float = ES
 def loop_margins(
     vehicle: Vehicle, gains: Gains, rate_hz: float = 200.0, estimator_delay: float = ESTIMATOR_DELAY
 ) -> dict[str, Margins]:
-    """Margins of every loop with the given gains, under a given estimator delay."""
+    """Return the margins of every loop with the given gains and estimator delay."""
     b, k = blocks(vehicle, rate_hz, estimator_delay), gains.model_dump()
     found = {}
     for name in ("rate", "yaw_rate", "attitude", "yaw", "velocity", "position"):
@@ -109,7 +112,7 @@ def loop_margins(
 
 
 def _gain_for(b: Blocks, name: str, inner: Mapping[str, float]) -> float:
-    """The largest gain with the required phase margin: scan down to where the loop has it, then bisect."""
+    """Find the largest gain with the required phase margin by a downward scan and bisection."""
     phase_deg = PHASE_MARGIN_DEG[name]
 
     def excess(k: float) -> float:

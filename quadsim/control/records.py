@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ..vehicle import Gains
 
 Command: TypeAlias = NDArray[Any]
-"""Floats, (n, width of the level), or records, (n,)."""
+"""A command: floats, (n, width of the level), or records, (n,)."""
 Level = Literal["position", "velocity", "attitude", "rate", "rotor"]
 LEVELS: tuple[Level, ...] = get_args(Level)
 POSITION, VELOCITY, ATTITUDE, RATE, ROTOR = range(5)
@@ -23,7 +23,7 @@ SET_POINT = np.dtype(
         ("yaw_rate", "f8"),
     ]
 )
-"""What the position level follows, world axes; the velocity level takes its velocity and yaw."""
+"""Set-point of the position level, world axes; the velocity level uses only velocity and yaw."""
 MEASURED = np.dtype(
     [
         ("k", "i8"),  # count of samples since the vehicle started
@@ -34,12 +34,12 @@ MEASURED = np.dtype(
         ("gyro", "f8", 3),  # body rate, the last valid sample [rad/s]
     ]
 )
-"""The state of a vehicle as its controller gets it."""
+"""State of a vehicle as measured by its sensors, the input of its controller."""
 
 
 @cache
 def controller_dtype(rotors: int) -> np.dtype:
-    """The record of one controller: its constants, its command, and its state."""
+    """Return the type of a controller's record, which holds constants, command and state."""
     return np.dtype(
         [
             ("dt", "f8"),

@@ -1,4 +1,4 @@
-"""Datasets: a recipe goes in, labelled xarray/Zarr flights come out; checks, figures and export."""
+"""Datasets of labelled flights in xarray and Zarr: generation from recipes, checks, figures and export."""
 
 from .generation import generate
 from .reading import dataset_info, open_dataset, verify

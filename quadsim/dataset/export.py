@@ -1,7 +1,7 @@
 """Datasets in the formats of other tools: NetCDF, one flat table in Parquet, and a folder for Hugging Face.
 
-NetCDF holds the whole dataset. The table has only the samples before a flight's end. Time counts from the
-start of each flight. What no log of a recorded dataset holds is NaN.
+NetCDF holds the whole dataset. The table contains only the samples before the end of a flight. Time starts at
+the beginning of each flight. Quantities that were not recorded are NaN.
 """
 
 import json
@@ -42,7 +42,7 @@ The recipe of the flights, as JSON:
 {config}
 ```
 """
-"""Card of a Hugging Face dataset."""
+"""Template of the card of a Hugging Face dataset."""
 
 
 def export(
@@ -52,15 +52,15 @@ def export(
 
     Args:
         path: A dataset.
-        out: The file or folder to write; must not exist.
+        out: The file (netcdf, parquet) or folder (huggingface) to write. It must not exist.
         format: One of FORMATS: "netcdf", "parquet" or "huggingface" (a folder of Parquet with its card).
-        progress: Called with the flights written and their total.
+        progress: Called with the number of flights written and the total.
 
     Returns:
         The path written.
 
     Raises:
-        ValueError: Unknown format, `out` exists, or the dataset is not one.
+        ValueError: The format is unknown, `out` exists, or `path` is not a dataset.
         ModuleNotFoundError: A package of the extra "export" is missing.
         OSError: `out` cannot be written.
     """
@@ -91,7 +91,7 @@ def _netcdf(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
 
 
 def _parquet(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
-    """One row per sample and one row group per flight; units are in the metadata of each column."""
+    """Write one row per sample and one row group per flight; the metadata of each column has its unit."""
     import pyarrow as arrow
     from pyarrow import parquet
 
@@ -114,7 +114,7 @@ def _parquet(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
 
 
 def _huggingface(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
-    """The folder of a Hugging Face dataset: its card, README.md, and one table of samples in Parquet."""
+    """Write the folder of a Hugging Face dataset: the card README.md and one Parquet table of samples."""
     (out / "data").mkdir(parents=True)
     _parquet(dataset, out / "data" / "flights.parquet", progress)
     rows = []
@@ -127,7 +127,10 @@ def _huggingface(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
 
 
 def _flights(dataset: xr.Dataset, progress: Progress) -> Iterator[tuple[int, xr.Dataset]]:
-    """Each flight's samples before its end, loaded; reports progress when the caller asks for the next."""
+    """Yield the samples of each flight before its end.
+
+    Report progress when the caller asks for the next flight.
+    """
     unknown = json.loads(dataset.attrs["config"]).get("unknown", ())
     total = dataset.sizes["flight"]
     for flight in range(total):

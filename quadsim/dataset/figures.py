@@ -1,4 +1,4 @@
-"""Pictures of a dataset: how its sensors and attitudes are distributed, and what one flight looks like."""
+"""Pictures of a dataset: the distributions of readings and attitudes, and one flight."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -41,7 +41,7 @@ PANELS = (
     ("Accelerometer z", "m/s²", "z"),
     ("Attitude", "deg", ("roll", "pitch")),
 )
-"""Title, unit and components of what is drawn."""
+"""Title, unit and components of each panel."""
 
 
 def plot(path: str | Path, out_png: str | Path) -> Path:
@@ -49,13 +49,13 @@ def plot(path: str | Path, out_png: str | Path) -> Path:
 
     Args:
         path: A dataset.
-        out_png: Where to write the picture; its ending chooses the format.
+        out_png: Picture to write; the suffix chooses the format.
 
     Returns:
         The path of the picture.
 
     Raises:
-        ValueError: Not a dataset, no valid sample in it, or no such picture format.
+        ValueError: `path` is not a dataset or has no valid sample, or the picture format is unknown.
         OSError: The picture cannot be written.
     """
     dataset, out = open_dataset(path), Path(out_png).expanduser()
@@ -84,7 +84,7 @@ def plot(path: str | Path, out_png: str | Path) -> Path:
 
 
 def _values(flight: xr.Dataset) -> list[Array]:
-    """Samples of one flight, an array (T, components) for each of `PANELS`."""
+    """Return the samples of one flight, an array (T, components) for each of `PANELS`."""
     accel = flight["accel"].to_numpy()
     angles = np.degrees(roll_pitch_from_quat(flight["quat"].to_numpy().astype(float)))
     return [flight["gyro"].to_numpy(), accel[:, :2], accel[:, 2:], angles]

@@ -1,4 +1,4 @@
-"""Generate a dataset over many processes; a killed run resumes."""
+"""Generate a dataset in parallel processes; an interrupted run can be resumed."""
 
 import json
 import shutil
@@ -40,29 +40,32 @@ def generate(
 ) -> Path:
     """Simulate flights and write them as a labelled Zarr store.
 
-    The files depend on the configuration, the seed and the code alone, not on the number of workers. An
-    interrupted run resumes when it is called again with the same arguments; a finished one
-    returns at once, unless the code has changed since. Worker processes import the caller's main module, so
-    a script calls this under `if __name__ == "__main__":`.
+    The files depend only on the configuration, the seed and the code, not on the number of workers. A second
+    call with the same arguments resumes an interrupted run. If the dataset is complete and the code has not
+    changed, the call returns immediately. Worker processes import the caller's main module, so scripts must
+    call this function under `if __name__ == "__main__":`.
 
     Args:
         config: The recipe of the flights.
-        flights: Number of flights; flight i has the i-th child of the seed.
+        flights: Number of flights. Flight i uses the i-th child of the seed.
         duration_s: Length of each flight [s].
-        out: Path of the dataset; grows as `out.partial` until it is whole.
-        seed: Seed of everything random.
+        out: Path of the dataset. Until the dataset is complete, the files are in `out.partial`.
+        seed: Seed of all random numbers.
         rate_hz: Samples per second.
-        workers: Processes; 1 stays in this process. By default one for each CPU, but 1 for few samples.
-        progress: Called with the flights done and their total at the start and after each batch.
-        overwrite: Replace another dataset at `out`, finished or not.
-        held_out: Take a seed of a held-out suite, for a benchmark: training and tuning refuse such a dataset.
+        workers: Number of processes; 1 runs in this process. By default one per CPU, or 1 for a small
+            dataset.
+        progress: Called at the start and after each batch, with the number of finished flights and the total.
+        overwrite: Replace another dataset at `out`, whether complete or not.
+        held_out: Allow a seed of a held-out suite, for a benchmark. Training and tuning refuse such a
+            dataset.
 
     Returns:
         The path of the dataset.
 
     Raises:
-        ValueError: A bad argument, another dataset in the way, or another process that writes it.
-        OSError: The dataset cannot be written, or a worker died; finished flights stay.
+        ValueError: An argument is invalid, `out` exists with other settings, or another process is writing to
+            `out`.
+        OSError: The dataset cannot be written, or a worker died. Finished flights are kept.
     """
     plan = _plan(config, flights, duration_s, seed if held_out else unreserved(seed), rate_hz)
     if workers is None and plan.flights * plan.steps < WORTH_A_PROCESS:
@@ -77,7 +80,7 @@ def generate(
     except ChildProcessError:
         raise
     except OSError as error:
-        raise OSError(f"cannot write {out}: {error.strerror or error}; finished flights stay") from error
+        raise OSError(f"cannot write {out}: {error.strerror or error}; finished flights are kept") from error
     return out
 
 
@@ -92,10 +95,10 @@ def _plan(config: Recipe, flights: int, duration_s: float, seed: int, rate_hz: f
 
 
 def _make_way(plan: Plan, out: Path, overwrite: bool) -> bool:
-    """Prepare the unfinished dataset, new or to be continued; False if the finished one is there already.
+    """Prepare a new or an unfinished dataset; return False if the complete dataset exists.
 
     Raises:
-        ValueError: Another dataset, or something else, is in the way.
+        ValueError: The path holds another dataset or another file.
     """
     folder = partial_folder(out)
     if out.exists():
@@ -108,7 +111,9 @@ def _make_way(plan: Plan, out: Path, overwrite: bool) -> bool:
             return False
     if folder.exists():
         if not (folder / "flights").is_dir():
-            raise ValueError(f"{folder} is in the way and not from quadsim: move it, or choose another --out")
+            raise ValueError(
+                f"{folder} exists and was not written by quadsim: move it, or choose another --out"
+            )
         text = dataset_store.read_plan(folder)
         if text == json.dumps(plan.content):
             return True
@@ -120,7 +125,7 @@ def _make_way(plan: Plan, out: Path, overwrite: bool) -> bool:
 
 
 def _refuse_other(plan: Plan, other: dict[str, object], what: str) -> None:
-    """Name the first setting in which a dataset differs from the plan, if there is one."""
+    """Raise an error that names the first setting in which a dataset differs from the plan, if any."""
     wanted, found = (pd.json_normalize(each).iloc[0].to_dict() for each in (plan.content, other))
     for key in sorted(wanted.keys() | found.keys(), key=lambda name: (name == "code", name)):
         if wanted.get(key) != found.get(key):
@@ -132,7 +137,7 @@ def _refuse_other(plan: Plan, other: dict[str, object], what: str) -> None:
 
 
 def _fly_all(plan: Plan, folder: Path, workers: int, progress: Progress) -> None:
-    """Fly what is missing."""
+    """Simulate the missing flights."""
     whole = dataset_store.whole_flights(folder)
     missing = [flight for flight in range(plan.flights) if flight not in whole]
     batches = {batch[0]: (plan, folder, batch) for batch in _batches(missing, plan.steps, workers)}
@@ -145,7 +150,7 @@ def _fly_all(plan: Plan, folder: Path, workers: int, progress: Progress) -> None
 
 
 def _batches(flights: list[int], steps: int, workers: int) -> list[list[int]]:
-    """Share flights out in batches that are alike in size, fit in memory and occupy every worker."""
+    """Divide the flights into batches of similar size that fit in memory and occupy every worker."""
     if not flights:
         return []
     largest = int(np.clip(BATCH_BYTES // (steps * SAMPLE_BYTES), 1, BATCH_FLIGHTS))

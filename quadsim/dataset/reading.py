@@ -17,21 +17,23 @@ from .store import DIGESTS, FORMAT, FORMAT_VERSION, PER_FLIGHT, VARIABLES, Progr
 
 
 def open_dataset(path: str | Path) -> xr.Dataset:
-    """Open a dataset; its arrays are read when they are used.
+    """Open a dataset. Arrays are read from disk on first use.
 
-    Every file is compared with its digest the first time, and again when the size or the time stamp of a file
-    has changed; `verify` always does.
+    Every file is compared with its checksum the first time, and again if the size or the time stamp of a file
+    has changed. `verify` always compares every file.
 
     Args:
-        path: A dataset that `generate` wrote.
+        path: A dataset written by `generate`.
 
     Returns:
-        Variables over (flight, time, axis | quat_axis | rotor) in SI units, and coordinates per flight:
-        `valid_steps` and `end_reason` tell how it went, and samples from `valid_steps` on repeat the last.
+        Variables over (flight, time, axis | quat_axis | rotor) in SI units. The coordinates `valid_steps` and
+        `end_reason` give the number of valid samples of each flight and why it ended early. Samples from
+        `valid_steps` on repeat the last valid sample.
 
     Raises:
         FileNotFoundError: There is nothing at the path.
-        ValueError: Not a dataset, unfinished, damaged, edited or from a newer version.
+        ValueError: The path is not a dataset, or the dataset is incomplete, damaged, edited or from a newer
+            version.
     """
     path = Path(path).expanduser()
     read_attributes(path)
@@ -42,14 +44,14 @@ def open_dataset(path: str | Path) -> xr.Dataset:
 
 
 def verify(path: str | Path, progress: Progress = lambda done, total: None) -> int:
-    """Compare every file of a dataset with its digest.
+    """Compare every file of a dataset with its checksum.
 
     Returns:
-        How many flights were verified.
+        Number of verified flights.
 
     Raises:
-        ValueError: The damaged flights and the other files that are not as they were written; or it is no
-            dataset, unfinished or from a newer version.
+        ValueError: Files differ from their checksums, in which case the message names the damaged flights and
+            files; or the path is not a dataset, or the dataset is incomplete or from a newer version.
     """
     path = Path(path).expanduser()
     total = read_attributes(path)["flights"]
@@ -72,7 +74,7 @@ def verify(path: str | Path, progress: Progress = lambda done, total: None) -> i
 
 
 def _fault(files: dict[str, Path], digest: str, name: str) -> str:
-    """What is wrong with files that have one digest; empty if nothing is."""
+    """Return a description of the damage to files with one common checksum; empty if they are intact."""
     missing = [name for name, file in files.items() if not file.exists()]
     if missing:
         return f"{missing[0]} is missing"
@@ -80,10 +82,10 @@ def _fault(files: dict[str, Path], digest: str, name: str) -> str:
 
 
 def refuse_damaged(path: Path) -> None:
-    """Verify a dataset, unless no file has changed in size or time stamp since the last time.
+    """Verify a dataset if the size or the time stamp of a file has changed since the last verification.
 
     Raises:
-        ValueError: A file differs, or is missing.
+        ValueError: A file is missing or differs from its checksum.
     """
     files = sorted(file for file in path.rglob("*") if file.is_file())
     stamps = [(str(file), file.stat().st_size, file.stat().st_mtime_ns) for file in files]
@@ -95,14 +97,14 @@ def refuse_damaged(path: Path) -> None:
 
 
 def dataset_info(path: str | Path) -> dict[str, object]:
-    """Summary of a dataset, over the samples before each flight's end; keys end in their unit.
+    """Summarise the valid samples of a dataset; keys end in their unit.
 
     Returns:
-        Size, rate, seed and configuration, and standard deviation of roll and of pitch
-        over all samples, largest tilt, body rate and speed.
+        Size, rate, seed and configuration; standard deviation of roll and of pitch; largest tilt, body rate
+        and speed.
 
     Raises:
-        ValueError: Not a dataset, or one without a single valid sample.
+        ValueError: The path is not a dataset, or the dataset has no valid sample.
     """
     path = Path(path).expanduser()
     dataset = open_dataset(path)
@@ -143,11 +145,11 @@ def dataset_info(path: str | Path) -> dict[str, object]:
 
 
 def read_attributes(path: Path) -> dict[str, Any]:
-    """Attributes of a dataset, which may be damaged.
+    """Return the attributes of a dataset without verifying its files.
 
     Raises:
         FileNotFoundError: There is nothing at the path.
-        ValueError: Not a dataset, unfinished, or from a newer version.
+        ValueError: The path is not a dataset, or the dataset is incomplete or from a newer version.
     """
     folder = path if path.suffix == ".partial" else store.partial_folder(path)
     if folder.is_dir() and not path.joinpath("zarr.json").exists():

@@ -1,14 +1,14 @@
-"""Files of a dataset: Zarr with one chunk per flight and variable, and a flight is whole or absent.
+"""Files of a dataset: Zarr with one chunk per flight and variable. A flight is either complete or absent.
 
-A dataset `x.zarr` is written beside its final place, in `x.zarr.partial`:
+A dataset `x.zarr` is first written to `x.zarr.partial`:
 
-    plan.json            what is being generated; a run continues only the same plan
-    flights/00012.json   written after the chunks of flight 12: how it ended, and the digest of its chunks
-    data/                the Zarr store, renamed to `x.zarr` when every flight is whole
+    plan.json            the configuration; a run resumes only if its own configuration is the same
+    flights/00012.json   written after the chunks of flight 12: its end, and the checksum of its chunks
+    data/                the Zarr store, renamed to `x.zarr` when every flight is complete
 
-The chunks depend on the plan alone, never on the number of workers, so that the finished files are the same
-byte for byte however they came to be. The finished store has the digests of all its files in
-`checksum/files.json`, where no reader of Zarr looks for arrays.
+The chunks depend only on the plan and not on the number of workers, so the finished files are always the
+same, byte for byte. The finished store has the checksums of all its files in `checksum/files.json`, which
+readers of Zarr ignore.
 """
 
 import json
@@ -36,16 +36,16 @@ from ..vehicle import MIN_ROTORS
 FORMAT = "quadsim flights"
 FORMAT_VERSION = 1
 Progress = Callable[[int, int], None]
-"""progress(flights done, flights in all)."""
+"""Called as progress(finished flights, all flights)."""
 DIGESTS = "checksum/files.json"
 COMPRESSION = BloscCodec(cname="lz4", clevel=1, shuffle="bitshuffle", typesize=4)
 
 
 class Variable(NamedTuple):
-    """What the numbers of a variable are."""
+    """Description of a variable."""
 
     dim: str
-    """Last dimension, after flight and time."""
+    """Name of the last dimension, after flight and time."""
     units: str
     long_name: str
 
@@ -68,9 +68,9 @@ VARIABLES |= {
     for name, (unit, sensor, _) in READINGS.items()
 }
 MEASURED = VARIABLES | {"mag": Variable("axis", "T", "magnetic field in body axes")}
-"""Variables that the dataset of a log may have."""
+"""Further variables that the dataset of a log may have."""
 LABELS = {"axis": ["x", "y", "z"], "quat_axis": ["w", "x", "y", "z"], "rotor": [*map(str, range(MIN_ROTORS))]}
-"""Labels of the last dimensions; simulated flights have as many rotors as their vehicle."""
+"""Labels of the last dimensions; the dimension rotor has as many labels as the vehicle has rotors."""
 
 
 PER_FLIGHT = ("valid_steps", "end_reason")
@@ -78,18 +78,18 @@ PER_FLIGHT = ("valid_steps", "end_reason")
 
 
 class Recorded(NamedTuple):
-    """Where flights come from that were recorded, not simulated."""
+    """Origin of flights that were recorded instead of simulated."""
 
     logs: tuple[str, ...]
     """Names of the logs."""
     piece_s: float
-    """Length of the pieces that they were cut into [s]."""
+    """Length of the pieces that the logs were cut into [s]."""
     unknown: tuple[str, ...]
-    """Variables that no log holds: zeros."""
+    """Variables that the logs do not contain, filled with zeros."""
 
 
 class Plan(NamedTuple):
-    """All that the numbers of a dataset depend on."""
+    """Everything that the numbers of a dataset depend on."""
 
     quadsim_version: str
     seed: int
@@ -97,7 +97,7 @@ class Plan(NamedTuple):
     steps: int
     rate_hz: float
     code: str
-    """Digest of the code that simulates; none where the numbers are a sensor's."""
+    """Digest of the simulation code; empty for recorded flights."""
     config: Recipe | Recorded
 
     @property
@@ -115,38 +115,38 @@ class Plan(NamedTuple):
 
     @property
     def content(self) -> dict[str, Any]:
-        """All of it, in types of JSON."""
+        """The plan in types of JSON."""
         return {"format_version": FORMAT_VERSION} | self._asdict() | {"config": json.loads(self.config_json)}
 
     @property
     def attributes(self) -> dict[str, Any]:
-        """Attributes of the finished dataset; the configuration is JSON."""
+        """Attributes of the finished dataset, with the configuration as JSON."""
         about = {"format": FORMAT} | self.content
         late = {"duration_s": self.steps / self.rate_hz, "code": about.pop("code")}
         return about | late | {"config": self.config_json}
 
 
 class Record(NamedTuple):
-    """What is stored of a complete flight beside its chunks."""
+    """What is stored about a complete flight in addition to its chunks."""
 
     valid_steps: int
     end_reason: str
     digest: str
-    """SHA-256 over the bytes of its chunks, in the order of `VARIABLES`."""
+    """SHA-256 of the bytes of its chunks, in the order of `VARIABLES`."""
 
 
 def partial_folder(out: Path) -> Path:
-    """Where a dataset grows until it is whole."""
+    """Return the folder that holds a dataset until it is complete."""
     return out.with_name(out.name + ".partial")
 
 
 def chunk_file(store: Path, variable: str, flight: int) -> Path:
-    """File with one variable of one flight."""
+    """Return the file with one variable of one flight."""
     return store / variable / f"c.{flight}.0.0"
 
 
 def begin(folder: Path, plan: Plan) -> None:
-    """Lay out an empty store; an interrupted one that never got its plan is laid out again."""
+    """Create an empty store; a store without a plan is created again."""
     (folder / "flights").mkdir(parents=True, exist_ok=True)
     group = zarr.open_group(folder / "data", mode="w")
     for name, variable in VARIABLES.items():
@@ -167,21 +167,21 @@ def begin(folder: Path, plan: Plan) -> None:
 
 
 def read_plan(folder: Path) -> str | None:
-    """The plan of an unfinished dataset, as JSON; None where there is none."""
+    """Return the plan of an unfinished dataset as JSON; None if there is no plan."""
     file = folder / "plan.json"
     return file.read_text(encoding="utf-8") if file.is_file() else None
 
 
 def fly_batch(plan: Plan, folder: Path, flights: Sequence[int]) -> Sequence[int]:
-    """Simulate some flights of a plan and write them; the work of one worker.
+    """Simulate some flights of a plan and write them. This is the job of a worker.
 
     Args:
-        plan: The whole plan, of simulated flights.
-        folder: Its unfinished dataset.
+        plan: The plan of the dataset.
+        folder: Folder of the unfinished dataset.
         flights: Numbers of the flights.
 
     Returns:
-        The numbers of the flights, now whole.
+        The numbers of the flights, which are now complete.
     """
     assert isinstance(plan.config, Recipe)
     seeds = [np.random.SeedSequence(plan.seed, spawn_key=(flight,)) for flight in flights]
@@ -198,13 +198,13 @@ def write_flights(
     values: Mapping[str, NDArray[np.float32]],
     ends: Sequence[tuple[int, str]],
 ) -> None:
-    """Write flights, and then the records that make them whole.
+    """Write flights, and then the records that mark them as complete.
 
     Args:
         folder: The unfinished dataset.
         flights: Numbers of the n flights.
-        values: Each variable (n, steps, width); from its end on a flight repeats its last valid sample.
-        ends: Samples before the end of each, and why it ended early; empty if it lasted its full time.
+        values: Variables, (n, steps, width) each. After its end, a flight repeats its last valid sample.
+        ends: Number of valid samples of each flight, and why the flight ended early; empty if it did not.
     """
     store = folder / "data"
     held = [
@@ -226,9 +226,9 @@ def write_flights(
 def _hold_after_end(
     values: Mapping[str, NDArray[np.float32]], end_step: int, end_reason: str
 ) -> tuple[int, str]:
-    """Repeat the last valid sample to the end of the array, in place; no file ever holds a NaN.
+    """Repeat the last valid sample to the end of the array, in place, so that no file contains NaN.
 
-    A flight without any valid sample becomes all zeros, level.
+    A flight without a valid sample is filled with zeros and a level attitude.
     """
     finite = np.logical_and.reduce([np.isfinite(array).all(axis=-1) for array in values.values()])
     if not finite[:end_step].all():
@@ -242,7 +242,10 @@ def _hold_after_end(
 
 
 def whole_flights(folder: Path) -> dict[int, Record]:
-    """Flights that are complete, by number; one whose chunks are not as they were written is not."""
+    """Return the records of complete flights by number.
+
+    Flights whose chunks have changed are not complete.
+    """
     records = {}
     for file in sorted((folder / "flights").glob("[0-9]*.json")):
         flight = int(file.stem)
@@ -297,10 +300,10 @@ def _write_coordinates(store: Path, plan: Plan, records: Sequence[Record]) -> No
 
 
 def chunks_digest(store: Path, flight: int) -> str:
-    """SHA-256 over the bytes of the chunks of a flight, variable after variable."""
+    """Return the SHA-256 of the bytes of the chunks of a flight, variable after variable."""
     return files_digest(chunk_file(store, name, flight) for name in VARIABLES)
 
 
 def files_digest(files: Iterable[Path]) -> str:
-    """SHA-256 over the bytes of files."""
+    """Return the SHA-256 of the bytes of files."""
     return content_digest(b"".join(file.read_bytes() for file in files))

@@ -1,4 +1,4 @@
-"""Gymnasium environments: one quadrotor on an attitude estimator of your choice, and its batched twin."""
+"""Gymnasium environments: one quadrotor with an attitude estimator, and the batched version."""
 
 from .batch import QuadrotorVectorEnv
 from .single import QuadrotorEnv

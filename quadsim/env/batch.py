@@ -1,4 +1,4 @@
-"""The environment of n quadrotors that are stepped as one batch."""
+"""The environment of n quadrotors, stepped as one batch."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -31,13 +31,13 @@ from .spaces import (
 
 Array = NDArray[np.float64]
 MOST = 100_000
-"""Environments in a batch."""
+"""Largest number of environments in a batch."""
 OPTIONS = ("scenario", "wind", "randomisation")
-"""Of `reset`."""
+"""Options of `reset`."""
 
 
 class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
-    """n quadrotors stepped as one batch; spaces, reward and arguments are those of `QuadrotorEnv`."""
+    """A batch of n quadrotors; spaces, reward and arguments are those of `QuadrotorEnv`."""
 
     metadata: dict[str, Any] = {  # noqa: RUF012  (Gymnasium's own attribute)
         "render_modes": ["rgb_array"],
@@ -89,7 +89,7 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Begin all episodes, with the options of `QuadrotorEnv`."""
+        """Begin all episodes; the options are those of `QuadrotorEnv`."""
         super().reset(seed=_whole(seed))
         afresh = self._choose(options) or seed is not None or not self._random
         if seed is not None or not self._random:
@@ -106,10 +106,10 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         return outcome["observation"].copy(), self._masked(outcome)
 
     def _choose(self, options: dict[str, Any] | None) -> bool:
-        """Take the scenario that options ask for, or the environment's own; whether it is another one.
+        """Set the scenario that the options ask for, or the environment's own; return whether it has changed.
 
         Raises:
-            ValueError: An unknown option, or a value that it cannot have.
+            ValueError: An option is unknown or has an invalid value.
         """
         if not isinstance(options, Mapping | None):
             raise ValueError(f"options = {options!r}: a dictionary is allowed, or None")
@@ -141,7 +141,7 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         self._outcomes = np.zeros(self.num_envs, outcome_dtype(len(mission.vehicle.rotors)))
 
     def _seeds(self, ids: NDArray[np.int64]) -> list[np.random.SeedSequence]:
-        """Seeds of the next flights of some vehicles."""
+        """Return the seeds of the next flights of some vehicles."""
         return [np.random.SeedSequence(self._random[i].integers(2**32, size=4).tolist()) for i in ids]
 
     def step(
@@ -157,10 +157,10 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         return observation, reward, crashed, over, info
 
     def advance(self) -> NDArray[np.void]:
-        """Fly one sample with `actions`; what comes of it, new records (n,) of `outcome_dtype`.
+        """Fly one sample with `actions`; return new records (n,) of `outcome_dtype`.
 
         Raises:
-            ValueError: An action is not finite, or there was no reset.
+            ValueError: An action is not finite, or `reset` was not called.
         """
         if not self._random:
             raise ValueError("step was called before reset")
@@ -177,17 +177,17 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         return self.observe()
 
     def observe(self) -> NDArray[np.void]:
-        """What `advance` returns, of the present sample."""
+        """Return the outcome of the current sample, as `advance` does."""
         outcome, self.ended = observe(self.mission.records, self.mission.steps, self.done, self._outcomes)
         return outcome
 
     def _masked(self, outcome: NDArray[np.void]) -> dict[str, Any]:
-        """Information in Gymnasium's form: each key with a mask of the vehicles that have it."""
+        """Return information in Gymnasium's format: each key with a mask of vehicles that have a value."""
         every = np.ones(self.num_envs, dtype=bool)
         return {name: outcome[name] for name in INFORMATION} | {f"_{name}": every for name in INFORMATION}
 
     def render(self) -> tuple[Image, ...] | None:
-        """A picture of every vehicle; None without a render mode."""
+        """Return a picture of every vehicle; None without a render mode."""
         if self.render_mode != "rgb_array":
             return None
         plant, self._scene = self.mission.plant, self._scene or Scene(self.mission.vehicle)
@@ -196,13 +196,13 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         return tuple(self._scene.draw(*place) for place in places)
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Free the scene."""
+        """Release the resources of rendering."""
         if self._scene is not None:
             self._scene.close()
         self._scene = None
 
     def __reduce__(self) -> NoReturn:
-        """Refuse to be copied or pickled: the arrays are views of the engine's memory, which a copy lacks."""
+        """Refuse to be copied or pickled, because the arrays are views of the engine's memory."""
         raise TypeError(
             "an environment in flight cannot be copied or pickled, for its arrays are views of the engine's "
             "memory; make another one with the same arguments and reset it with the same seed"
@@ -213,7 +213,7 @@ def take(action: ArrayLike, out: Array) -> None:
     """Copy an action.
 
     Raises:
-        ValueError: It has another shape, or is not real numbers.
+        ValueError: The action has the wrong shape or is not an array of real numbers.
     """
     given = np.asarray(action)
     if given.dtype.kind not in "fiub":

@@ -1,4 +1,4 @@
-"""What an environment is made of, given by name, file or object: scenario, estimator and controller."""
+"""Scenario, estimator and controller of an environment, each given by name, file or object."""
 
 import copy
 from collections.abc import Callable, Mapping
@@ -14,16 +14,16 @@ from ..own import named_errors
 from ..vehicle import Randomisation
 
 Made: TypeAlias = AttitudeEstimator | str | Path | Callable[[float], AttitudeEstimator] | None
-"""An estimator, or what makes one: see `made_for`."""
+"""An estimator, or a function that makes one; see `made_for`."""
 Spread: TypeAlias = Randomisation | Mapping[str, Any]
-"""The `[randomisation]` of a recipe or a scenario, or a table of it."""
+"""The `[randomisation]` of a recipe or a scenario, as a model or as a table."""
 
 
 def scenario_for(scenario: object, randomisation: Spread | None = None) -> Scenario:
-    """An environment's scenario, given as a name, a file or a `Scenario`, randomised as given.
+    """Return the scenario given as a name, a file or a `Scenario`, with the given randomisation.
 
     Raises:
-        ValueError: It is none of these, there is no such file, or a number is out of its range.
+        ValueError: The scenario has another type, the file does not exist, or a number is out of range.
     """
     if isinstance(scenario, str | Path):
         scenario = load_scenario(scenario)
@@ -33,17 +33,16 @@ def scenario_for(scenario: object, randomisation: Spread | None = None) -> Scena
 
 
 def made_for(estimator: Made, scenario: Scenario, rate_hz: float) -> AttitudeEstimator | None:
-    """An environment's own estimator.
+    """Return an estimator for one environment.
 
     Args:
-        estimator: A name, weights or "module:Class", as `estimators.create` takes them, made for the
-            scenario's vehicle and IMU; a function or class that makes one of `rate_hz`; an estimator, which
-            is copied; None for the true attitude.
+        estimator: A name, weights or "module:Class", as for `estimators.create`; a function or class that is
+            called with `rate_hz`; an estimator, which is copied; or None for the true attitude.
         scenario: The scenario of the flight.
         rate_hz: Samples per second.
 
     Raises:
-        ValueError: No such estimator, or one that cannot be copied.
+        ValueError: The estimator does not exist or cannot be copied.
     """
     if estimator is None:
         return None
@@ -73,10 +72,10 @@ def made_for(estimator: Made, scenario: Scenario, rate_hz: float) -> AttitudeEst
 
 
 def controller_for(controller: str | Path | MakeController | None) -> MakeController | None:
-    """What makes an environment's attitude controller, given also by a name; None for the cascade's own.
+    """Return the function that makes an environment's attitude controller; None for the cascade.
 
     Raises:
-        ValueError: No such controller.
+        ValueError: The controller does not exist.
     """
     if not isinstance(controller, str | Path):
         return controller

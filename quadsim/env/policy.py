@@ -1,4 +1,4 @@
-"""Policies: what an agent has learnt, a small network from observations to actions, as a safetensors file."""
+"""Policies: small networks from observations to actions, stored as safetensors files."""
 
 import json
 from collections.abc import Sequence
@@ -27,19 +27,19 @@ class PolicySpec(Strict):
     """The environment that a policy was trained in.
 
     Raises:
-        ValueError: One line: a value that a field cannot have.
+        ValueError: A field has an invalid value.
     """
 
     level: Level
-    """Where its actions enter the controller."""
+    """Level at which the actions enter the controller."""
     estimator: str | None = None
-    """Source of roll and pitch; None for the true ones."""
+    """Estimator of roll and pitch; None for the true attitude."""
     rate_hz: SampleRate = 200.0
     """Samples per second."""
     repeat: Annotated[int, Between(1, 10_000)] = 1
-    """Samples for which an action holds."""
+    """Number of samples for which an action is held."""
     training: dict[str, JsonValue] = Field(default_factory=dict)
-    """Where the weights come from."""
+    """Description of the training."""
 
     def __init__(self, **fields: Any) -> None:
         try:
@@ -49,7 +49,10 @@ class PolicySpec(Strict):
 
 
 class Policy:
-    """A network with tanh layers and a linear output; `spec` says which environment it is for."""
+    """A network with tanh layers and a linear output.
+
+    `spec` describes the environment that it was trained in.
+    """
 
     def __init__(self, spec: PolicySpec, layers: Sequence[Layer]) -> None:
         self.spec, self.layers = spec, tuple(layers)
@@ -63,7 +66,7 @@ class Policy:
             raise ValueError("the policy has no layers")
 
     def __call__(self, observation: ArrayLike) -> NDArray[np.float32]:
-        """The actions (..., numbers) for observations (..., 17) of `QuadrotorEnv`, within −1 to 1."""
+        """Return actions (..., numbers) from −1 to 1 for observations (..., 17) of `QuadrotorEnv`."""
         x = np.asarray(observation, np.float32)
         if x.shape[-1:] != OBSERVATION_LIMIT.shape:
             raise ValueError(
@@ -76,7 +79,7 @@ class Policy:
 
 
 def policy_names() -> list[str]:
-    """Names of the policies that ship, sorted."""
+    """Return the names of the policies that ship, sorted."""
     return sorted(item.stem for item in shipped_folder("policies").glob(f"*{END}"))
 
 
@@ -84,7 +87,7 @@ def load_policy(source: str | Path) -> Policy:
     """Read a policy: a shipped name ("hover", …) or the path of a file that `save_policy` wrote.
 
     Raises:
-        ValueError: One line: no such policy, or not such a file.
+        ValueError: The policy does not exist, or the file does not contain a policy.
     """
     path = Path(source)
     if str(source) in policy_names():
@@ -104,7 +107,7 @@ def load_policy(source: str | Path) -> Policy:
 
 
 def save_policy(path: str | Path, policy: Policy) -> Path:
-    """Write a policy; `load_policy` reads it."""
+    """Write a policy to a file that `load_policy` can read."""
     tensors = {}
     for k, (weight, bias) in enumerate(policy.layers):
         tensors |= {f"weight_{k}": np.ascontiguousarray(weight), f"bias_{k}": np.ascontiguousarray(bias)}

@@ -1,4 +1,4 @@
-"""The batched environment as Stable-Baselines3 takes it, and what an agent of it has learnt."""
+"""The batched environment for Stable-Baselines3, and the conversion of its agents to policies."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -23,19 +23,22 @@ REPEATS = Between(1, 10_000)
 
 
 class SB3VecEnv(VecEnv):
-    """n quadrotors in one batch, with actions that hold for a number of samples.
+    """A batch of n quadrotors, in which each action is held for a number of samples.
 
-    The reward of a step is the sum of its samples' rewards over `repeat`. A vehicle whose episode ends within
-    a step restarts in the next sample and takes the action 0 until the next step. An end in the last sample
-    of a step adds a sample to it, in which the others continue with their action. `infos` has
-    `terminal_observation`, `TimeLimit.truncated` and `cause` of an episode that has ended.
+    The reward of a step is the sum of the rewards of its samples, divided by `repeat`. A vehicle whose
+    episode ends within a step restarts in the next sample and flies with the action 0 until the next step. If
+    an episode ends in the last sample of a step, the step has an additional sample, in which the other
+    vehicles continue with their action. For an episode that has ended, `infos` contains
+    `terminal_observation`, `TimeLimit.truncated` and `cause`.
 
-    The first seed of `seed` and the first options of `set_options` count for the whole batch.
+    Only the first seed given to `seed` and the first options given to `set_options` are used, for the whole
+    batch.
 
     Args:
         num_envs: Number of vehicles.
-        repeat: Samples for which an action holds: 10 at 200 Hz are 20 decisions per second.
-        arguments: Those of `QuadrotorEnv`.
+        repeat: Number of samples for which an action is held. 10 samples at 200 Hz give 20 actions per
+            second.
+        arguments: Arguments of `QuadrotorEnv`.
     """
 
     def __init__(self, num_envs: int, repeat: int = 1, **arguments: Any) -> None:
@@ -46,18 +49,18 @@ class SB3VecEnv(VecEnv):
         super().__init__(num_envs, self.batch.single_observation_space, self.batch.single_action_space)
 
     def reset(self) -> NDArray[np.float32]:
-        """Begin all episodes; observations (n, 17)."""
+        """Begin all episodes and return the observations, (n, 17)."""
         seed, options = self._seeds[0], self._options[0]
         self._reset_seeds()
         self._reset_options()
         return self.batch.reset(seed=seed, options=options)[0]
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Take the actions (n, numbers) of the next step."""
+        """Set the actions (n, numbers) of the next step."""
         take(actions, self.batch.actions)
 
     def step_wait(self) -> tuple[NDArray[np.float32], NDArray[Any], NDArray[np.bool_], list[dict[str, Any]]]:
-        """Fly a step: observations (n, 17), rewards (n,), which episodes have ended (n,), and infos."""
+        """Fly one step; return observations (n, 17), rewards (n,), ends of episodes (n,), and infos."""
         batch, sample = self.batch, 1
         outcome = batch.advance()
         rewards, done = outcome["reward"].copy(), batch.done.copy()
@@ -72,7 +75,7 @@ class SB3VecEnv(VecEnv):
         return outcome["observation"].copy(), rewards / self.repeat, done, infos
 
     def _note(self, outcome: NDArray[np.void], ended: NDArray[np.bool_], infos: list[dict[str, Any]]) -> None:
-        """Write the last sample of episodes to their infos; their vehicles take no more action."""
+        """Write the last sample of ended episodes to their infos, and set their actions to 0."""
         if not self.batch.ended:
             return
         for i in np.flatnonzero(ended):
@@ -89,11 +92,11 @@ class SB3VecEnv(VecEnv):
         self.batch.close()
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """A picture of every vehicle."""
+        """Return a picture of every vehicle."""
         return self.batch.render() or [None] * self.num_envs
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """An attribute of the batch, once for each vehicle."""
+        """Return an attribute of the batch, once for each vehicle."""
         return [getattr(self.batch, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
@@ -105,15 +108,18 @@ class SB3VecEnv(VecEnv):
         raise NotImplementedError("vehicles of a batch have no methods of their own")
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
-        """No vehicle has a wrapper of its own."""
+        """Return False for each vehicle, because vehicles have no wrappers of their own."""
         return [False] * len(list(self._get_indices(indices)))
 
 
 def policy_of(model: OnPolicyAlgorithm, spec: PolicySpec) -> Policy:
-    """The deterministic policy of an agent of PPO or A2C with `MlpPolicy`, as it would be written to a file.
+    """Return the deterministic policy of a PPO or A2C agent with `MlpPolicy`.
+
+    `save_policy` can write it to a file.
 
     Raises:
-        ValueError: Another kind of agent, or a network with other layers than linear ones with tanh between.
+        ValueError: The agent is of another kind, or its network has layers other than linear ones separated
+            by tanh.
     """
     if not hasattr(model.policy, "mlp_extractor"):
         raise ValueError(f"{type(model).__name__} has no policy of the kind of PPO and A2C")

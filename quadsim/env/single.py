@@ -18,19 +18,19 @@ from .spaces import INFORMATION
 
 
 class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
-    """A quadrotor in MuJoCo that sees its roll and pitch through an attitude estimator.
+    """A simulated quadrotor whose roll and pitch come from an attitude estimator.
 
     ## Description
 
     The vehicle flies a scenario (`quadsim.flight.scenario`): a trajectory of set-points, with wind, sensor
-    errors and faults. A cascaded controller flies it on the estimate; the action enters that cascade at the
-    level of your choice, so that an agent may correct the set-point, or do all of the control itself. One
-    step is one sample, 5 ms at the default 200 Hz. The closed-loop benchmark flies the very same `Mission`.
+    errors and faults. A cascaded controller uses the estimated attitude. The action enters the cascade at a
+    level that you choose, so an agent can correct the set-point or replace the whole controller. One step is
+    one sample, 5 ms at the default 200 Hz. The closed-loop benchmark uses the same `Mission`.
 
     ## Action space
 
-    `Box(-1, 1, (4,), float32)`, for the four numbers below; 0 is always "nothing special". At level `rotor`
-    there are as many numbers as the scenario's vehicle has rotors, each a speed ω_h + a (ω_max − ω_h).
+    `Box(-1, 1, (4,), float32)`, with the four numbers below. An action of 0 is neutral. At level `rotor`, the
+    action has one number a per rotor, which commands the speed ω_h + a (ω_max − ω_h).
 
     | level    | 0              | 1               | 2            | 3                          |
     |----------|----------------|-----------------|--------------|----------------------------|
@@ -40,8 +40,9 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
     | rate     | p, ±6 rad/s    | q, ±6 rad/s     | r, ±2 rad/s  | thrust per mass, g (1 + a) |
     | rotor    | first rotor    | second          | …            | …                          |
 
-    Δ is relative to the scenario's set-point, world axes; the zero action at level `position` flies the
-    scenario as the benchmark does. ω_h is the hover speed, rotors in the order of the vehicle's file.
+    Δ is relative to the set-point of the scenario, in world axes. With an action of 0 at level `position`,
+    the flight equals that of the benchmark. ω_h is the hover speed. The rotors have the order of the
+    vehicle's file.
 
     ## Observation space
 
@@ -57,29 +58,29 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
     | 12–13 | cosine and sine of yaw               | 1        |
     | 14–16 | gyroscope, body axes                 | 50 rad/s |
 
-    Roll and pitch come from the estimator under test alone; position, velocity and yaw from the scenario's
-    external sensor, with its noise, rate and delay (`quadsim.external`).
+    Roll and pitch come from the estimator. Position, velocity and yaw come from the scenario's external
+    sensor, with its noise, rate and delay (`quadsim.external`).
 
     ## Reward
 
-    1 / (1 + ‖e_p‖² + 0.1 ‖e_v‖²) in each step, with e_p [m] and e_v [m/s] the true errors of position and
-    velocity, free of what the external sensor adds; 0 in the step of a crash. 1 is perfect.
+    1 / (1 + ‖e_p‖² + 0.1 ‖e_v‖²) in each step, where e_p [m] and e_v [m/s] are the true errors of position
+    and velocity. The largest reward is 1. The reward is 0 in the step of a crash.
 
     ## Starting state
 
-    As the scenario says: at its first set-point, displaced or tilted as drawn for the seed.
+    The scenario defines the start: its first set-point, displaced or tilted by amounts drawn for the seed.
 
     ## Episode end
 
-    - Termination: a crash by the scenario's criteria (by default a tilt above 75°, the ground, or 10 m from
-      the set-point); `info["cause"]` tells which, in words; in the batched twin by their index in
-      `quadsim.flight.world.CAUSES`.
+    - Termination: a crash by the scenario's criteria. By default, these are a tilt above 75°, contact with
+      the ground, and a distance of 10 m from the set-point. `info["cause"]` names the criterion. In the
+      batched environment, it is an index into `quadsim.flight.world.CAUSES`.
     - Truncation: the scenario's duration is over.
 
     ## Information
 
-    What `reset` and `step` return last: a dictionary of numbers that the agent does not see. In the batched
-    twin each has a row for every vehicle.
+    The last value that `reset` and `step` return is a dictionary of quantities that the agent does not
+    observe. In the batched environment, each quantity has a row for every vehicle.
 
     | key              | shape    | meaning                                                             |
     |------------------|----------|---------------------------------------------------------------------|
@@ -96,17 +97,17 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
 
     ## Options of `reset`
 
-    `reset(options={"scenario": ..., "wind": (x, y, z), "randomisation": {...}})` flies another scenario, by
-    name, file or `Scenario`, with a constant wind [m/s] or a randomisation in place of the scenario's, until
-    the next `reset`.
+    `reset(options={"scenario": ..., "wind": (x, y, z), "randomisation": {...}})` replaces the scenario (by a
+    name, a file or a `Scenario`), the wind (by a constant one [m/s]) or the randomisation. The options hold
+    until the next `reset`.
 
     ## Domain randomisation
 
-    The table `randomisation` is that of recipes and scenarios: `{"mass": 0.2, "delay": 1.0}` draws a mass
-    within ±20 % and a delay of 0 to 2 times the nominal one for each episode and vehicle. Its keys are
-    `mass`, `inertia`, `thrust`, `torque`, `rotor_drag`, `frame_drag`, `motor_lag`, `imu` (a factor for each
-    error of it), `wind` and `delay` (of the external sensor). The controller and the estimator know the
-    nominal vehicle.
+    The table `randomisation` has the same keys as in recipes and scenarios. For example, `{"mass": 0.2,
+    "delay": 1.0}` draws a mass within ±20 % and a delay of 0 to 2 times the nominal one, for each episode and
+    vehicle. The keys are `mass`, `inertia`, `thrust`, `torque`, `rotor_drag`, `frame_drag`, `motor_lag`,
+    `imu` (a factor for each error of the IMU), `wind` and `delay` (of the external sensor). The controller
+    and the estimator use the nominal vehicle.
 
     ## Arguments
 
@@ -121,15 +122,15 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
     | `controller`  | None       | your own attitude controller, or weights                               |
     | `randomisation` | None     | ranges of the vehicle, the IMU, the wind and the delay, see above      |
 
-    `metadata["render_fps"]` is `rate_hz`, so that gymnasium's RecordVideo, which draws every step, plays in
-    real time (it needs moviepy: `pip install 'quadsim[video]'`).
+    `metadata["render_fps"]` equals `rate_hz`, so videos by gymnasium's RecordVideo play in real time.
+    RecordVideo needs moviepy: `pip install 'quadsim[video]'`.
 
-    `gymnasium.make_vec("quadsim/Quadrotor-v0", num_envs=n, ...)` makes the batched twin: sub-environment i
-    is, number for number, this environment reset with `seed + i`. It restarts finished episodes in the next
-    step.
+    `gymnasium.make_vec("quadsim/Quadrotor-v0", num_envs=n, ...)` makes the batched environment. Its
+    sub-environment i gives exactly the same numbers as this environment reset with `seed + i`. It restarts
+    finished episodes in the next step.
 
-    `estimator` is a name or weights, as in `estimators.create`, "module:Class", a function of `rate_hz` that
-    makes one, or an `AttitudeEstimator`, which is copied: no two environments share one.
+    `estimator` is a name, weights or "module:Class", as in `estimators.create`; a function of `rate_hz` that
+    makes an estimator; or an `AttitudeEstimator`, of which each environment uses its own copy.
 
     ## Version history
 
@@ -161,7 +162,7 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Begin an episode, with the options of the class's docstring.
+        """Begin an episode; the class docstring describes the options.
 
         Raises:
             ValueError: An unknown option, or a value that it cannot have.
@@ -174,7 +175,7 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
         """Fly one sample with an action.
 
         Raises:
-            ValueError: An action of another shape or that is not finite, or the episode is over.
+            ValueError: The action has the wrong shape or is not finite, or the episode has ended.
         """
         if self._batch.ended:
             raise ValueError("the episode is over; call reset to begin another")
@@ -188,7 +189,7 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
         return observation, reward, crashed, over, info
 
     def render(self) -> Image | None:
-        """A picture of the vehicle, (540, 960, 3); None without a render mode."""
+        """Return a picture of the vehicle, (540, 960, 3); None without a render mode."""
         pictures = self._batch.render()
         return None if pictures is None else pictures[0]
 
@@ -197,5 +198,5 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
         self._batch.close_extras()
 
     def __reduce__(self) -> NoReturn:
-        """Refuse to be copied or pickled, as the batch does."""
+        """Refuse to be copied or pickled, as `QuadrotorVectorEnv` does."""
         return self._batch.__reduce__()

@@ -1,4 +1,4 @@
-"""Actions and observations of the environments: their sizes, and their numbers in the records of a flight."""
+"""Actions and observations of the environments, and their conversion from and to records of a flight."""
 
 from functools import cache
 
@@ -15,12 +15,12 @@ POSITION_LIMIT, VELOCITY_LIMIT, ACCELERATION_LIMIT, RATE_LIMIT = 100.0, 50.0, 50
 OBSERVATION_LIMIT = np.repeat(
     [POSITION_LIMIT, VELOCITY_LIMIT, ACCELERATION_LIMIT, np.pi, 1.0, RATE_LIMIT], [3, 3, 3, 3, 2, 3]
 )
-"""Largest value of each observation; what is larger is clipped."""
+"""Largest magnitude of each observation; larger values are clipped."""
 
 
 @cache
 def outcome_dtype(rotors: int) -> np.dtype:
-    """What a step returns, see the tables of `QuadrotorEnv`: information first."""
+    """Return the record type of a step's outcome: the quantities of `QuadrotorEnv`, information first."""
     return np.dtype(
         [
             ("attitude", "f8", 3),
@@ -42,7 +42,7 @@ def outcome_dtype(rotors: int) -> np.dtype:
 
 
 INFORMATION = (outcome_dtype(4).names or ())[:-4]
-"""Fields of an outcome that agents do not see."""
+"""Fields of an outcome that agents do not observe."""
 ACTION_SCALE: dict[Level, tuple[float, ...]] = {
     "position": (1.0, 1.0, 1.0, np.pi),
     "velocity": (3.0, 3.0, 3.0, np.pi),
@@ -50,17 +50,18 @@ ACTION_SCALE: dict[Level, tuple[float, ...]] = {
     "rate": (6.0, 6.0, 2.0, GRAVITY),
     "rotor": (1.0,),
 }
-"""What an action of 1 means at each level; each rotor: from hover speed to the highest."""
+"""Meaning of an action of 1 at each level; for rotors, the difference between highest speed and hover
+speed."""
 
 
 OBSERVATION_SPACE = Box(
     -OBSERVATION_LIMIT.astype(np.float32), OBSERVATION_LIMIT.astype(np.float32), dtype=np.float32
 )
-"""Of one vehicle."""
+"""Observation space of one vehicle."""
 
 
 def action_scale(level: Level, vehicle: Vehicle) -> NDArray[np.float64]:
-    """What an action of 1 means in each of its numbers."""
+    """Return the meaning of an action of 1 in each of its numbers."""
     scale = np.array(ACTION_SCALE[level])
     if level == "rotor":
         span = vehicle.motor.omega_max - vehicle.hover_rotor_vel
@@ -70,7 +71,7 @@ def action_scale(level: Level, vehicle: Vehicle) -> NDArray[np.float64]:
 
 @njit(cache=True)
 def to_command(level, action, scale, hover_rotor_vel, loops):
-    """Write the commands of actions (n, numbers) to the loops; False if an action is not finite."""
+    """Write actions (n, numbers) as commands to the loops; return False if an action is not finite."""
     u = np.empty(scale.size)
     for i in range(action.shape[0]):
         wanted, out, c = loops[i].flight.target, loops[i].set_point, loops[i].controller
@@ -105,9 +106,10 @@ def _clip(value, limit):
 
 @njit(cache=True)
 def observe(loops, steps, done, like):
-    """What a step returns, new records of `outcome_dtype` as in `like` (n,), and how many episodes ended.
+    """Return the outcome of a step, new records of the type of `like` (n,), and the number of ended episodes.
 
-    `done` (n,) says which had ended before this step, which have no reward, and then which have ended now.
+    On entry, `done` (n,) marks episodes that ended before this step; their reward is 0. On return, `done`
+    marks episodes that have ended now.
     """
     outcomes, ended = np.empty_like(like), 0
     for i in range(outcomes.shape[0]):

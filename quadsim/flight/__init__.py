@@ -1,1 +1,1 @@
-"""Flights: scenarios and recipes go in, samples of plant, IMU, estimator and controller come out."""
+"""Flights: simulation of scenarios and recipes with plant, IMU, estimator and controller in one loop."""

@@ -1,4 +1,4 @@
-"""Domain randomisation: the vehicle, the IMU, the wind's strength and the delay of one flight."""
+"""Domain randomisation: vehicle, IMU, wind strength and delay of one flight."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -10,12 +10,12 @@ from ..vehicle import Randomisation, Vehicle, randomise
 
 
 class Domain(NamedTuple):
-    """What is drawn for one flight."""
+    """Randomised quantities of one flight."""
 
     vehicle: Vehicle
     imu: ImuSpec
     wind: float = 1.0
-    """Factor of the wind's velocity."""
+    """Factor of the wind velocity."""
     delay: float = 1.0
     """Factor of the external sensor's delay."""
 
@@ -23,7 +23,10 @@ class Domain(NamedTuple):
 def domains(
     vehicle: Vehicle, imu: ImuSpec, ranges: Randomisation, seeds: Sequence[np.random.SeedSequence]
 ) -> list[Domain]:
-    """The domain of a flight for each seed, around a vehicle and an IMU; with no ranges, these."""
+    """Draw the domain of one flight per seed, around a vehicle and an IMU.
+
+    Without ranges, nothing changes.
+    """
     if ranges == Randomisation():
         return [Domain(vehicle, imu)] * len(seeds)
     return [_domain(vehicle, imu, ranges, np.random.default_rng(seed)) for seed in seeds]

@@ -1,8 +1,8 @@
-"""Faults: what goes wrong with sensors and vehicle in flight, each a small model chosen by `kind` in TOML.
+"""Faults of sensors and vehicles in flight, each a model chosen by `kind` in TOML.
 
-Sensor faults act on the readings of gyroscope and accelerometer after the IMU's own errors; they do not
-depend on the estimator. Those of the vehicle are in `vehicle_faults`. Everything random is drawn from the
-flight's own seed.
+Sensor faults act on the readings of gyroscope and accelerometer, after the errors of the IMU. Faults do not
+depend on the estimator. All random numbers are drawn from the seed of the flight. Faults of the vehicle are
+in `vehicle_faults`.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,16 +22,17 @@ from .vehicle_faults import LeverArm, PayloadDrop, Timed, VehicleFault
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 Corrupt: TypeAlias = Callable[[Readings, Counts], None]
-"""corrupt(readings, k): change samples (n, ·) in place, each vehicle at its own count k (n,)."""
+"""Called as corrupt(readings, k): changes samples (n, ·) in place; k (n,) is the sample number of each
+vehicle."""
 Change: TypeAlias = Callable[[Array, Counts], None]
-"""The same for the readings of gyroscope and accelerometer side by side, (n, 6)."""
+"""The same, for readings of gyroscope and accelerometer in one array (n, 6)."""
 Randoms = list[np.random.Generator]
-"""One for each vehicle."""
+"""One random generator per vehicle."""
 BiasDeg: TypeAlias = Annotated[float, Between(-4000.0, 4000.0, "°/s")]
 
 
 class OnAxes(Strict):
-    """A fault of the sensors' readings on some of their axes; the others stay as they are."""
+    """A fault of the readings on some axes; the other axes do not change."""
 
     axes: Literal["x", "y", "z", "xy", "xz", "yz", "xyz"] = "xyz"
     """Affected body axes."""
@@ -45,7 +46,7 @@ class OnSensor(OnAxes):
 
 
 class Bias(Timed):
-    """The biases change: at once, or gradually as while a sensor warms up."""
+    """The biases change, at once or gradually, as when a sensor warms up."""
 
     kind: Literal["bias"]
     gyro_deg: tuple[BiasDeg, BiasDeg, BiasDeg] = (0.0, 0.0, 0.0)
@@ -68,7 +69,10 @@ class Bias(Timed):
 
 
 class Vibration(OnAxes, Timed):
-    """A vibration of the whole sensor, its phases drawn for each seed; above half the rate it aliases."""
+    """A vibration of the IMU, with phases drawn for each seed.
+
+    Frequencies above half the sample rate alias.
+    """
 
     kind: Literal["vibration"]
     frequency_hz: Frequency
@@ -90,11 +94,11 @@ class Vibration(OnAxes, Timed):
 
 
 class Dropout(OnSensor, Timed):
-    """Samples are lost at random, each dropout for a fixed time. The estimator receives NaN."""
+    """Samples are lost at random times, each time for a fixed duration. The estimator receives NaN."""
 
     kind: Literal["dropout"]
     probability: Share
-    """Chance that a dropout begins at a sample."""
+    """Probability that a dropout begins at a sample."""
     length_s: Instant = 0.0
     """Length of a dropout [s]; 0 for single samples."""
 
@@ -113,7 +117,7 @@ class Dropout(OnSensor, Timed):
 
 
 class Stuck(OnSensor, Timed):
-    """The sensor repeats its last sample for a while."""
+    """The sensor repeats its last sample for a fixed duration."""
 
     kind: Literal["stuck"]
     length_s: Duration = 0.2
@@ -139,9 +143,9 @@ class Saturation(OnAxes):
 
     kind: Literal["saturation"]
     gyro_deg: Annotated[float, Between(0.1, 4000.0, "°/s")] | None = None
-    """Largest body rate that can be read [deg/s]."""
+    """Largest body rate that the gyroscope can measure [deg/s]."""
     accel: Annotated[float, Between(0.1, 1000.0, "m/s²")] | None = None
-    """Largest specific force that can be read [m/s²]."""
+    """Largest specific force that the accelerometer can measure [m/s²]."""
 
     def _change(self, rate_hz: float, randoms: Randoms) -> Change:
         rate = np.inf if self.gyro_deg is None else np.radians(self.gyro_deg)
@@ -154,7 +158,7 @@ class Saturation(OnAxes):
 
 
 class Delay(OnSensor):
-    """Samples are delayed."""
+    """The readings arrive late."""
 
     kind: Literal["delay"]
     delay_s: Annotated[float, Between(0.0, 1.0, "s")]
@@ -179,12 +183,14 @@ Fault: TypeAlias = Annotated[SensorFault | VehicleFault, Field(discriminator="ki
 def sensor_faults(
     faults: Sequence[SensorFault | VehicleFault], n: int, rate_hz: float, seed: Seed
 ) -> Corrupt | None:
-    """What the faults do to the IMU of n vehicles; None where they do nothing.
+    """Return the function that applies faults to the IMU readings of n vehicles.
 
-    Every vehicle's samples must come in order; k = 0 resets a vehicle.
+    The result is None if there are no such faults.
+
+    The samples of each vehicle must be consecutive; k = 0 resets a vehicle.
 
     Args:
-        faults: All faults; those of the vehicle are passed over.
+        faults: All faults; faults of the vehicle are ignored.
         n: Number of vehicles.
         rate_hz: Samples per second.
         seed: Whole number, seed sequence, or one seed sequence per vehicle.
@@ -213,7 +219,7 @@ def sensor_faults(
 
 
 def displaced(imu: ImuSpec, faults: Sequence[SensorFault | VehicleFault]) -> ImuSpec:
-    """The IMU where its lever arms put it."""
+    """Return the IMU displaced by the lever arms among the faults."""
     arms = [fault.position for fault in faults if isinstance(fault, LeverArm)]
     if not arms:
         return imu
@@ -224,7 +230,10 @@ def displaced(imu: ImuSpec, faults: Sequence[SensorFault | VehicleFault]) -> Imu
 def fault_spans(
     faults: Sequence[SensorFault | VehicleFault], duration_s: float
 ) -> list[tuple[str, float, float]]:
-    """Labels, begins and ends [s] of the faults of a flight, in their order; one may come again."""
+    """Return label, beginning and end [s] of each fault of a flight, in order.
+
+    A periodic fault appears repeatedly.
+    """
     spans = []
     for fault in faults:
         label, starts, length = _label(fault), [getattr(fault, "at_s", 0.0)], duration_s
@@ -240,7 +249,7 @@ def fault_spans(
 
 
 def _part(fault: SensorFault | VehicleFault) -> tuple[str, str]:
-    """Sensors and axes that a fault acts on."""
+    """Return the sensors and axes that a fault acts on."""
     return getattr(fault, "sensor", "both"), getattr(fault, "axes", "xyz")
 
 

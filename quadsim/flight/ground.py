@@ -1,7 +1,7 @@
-"""The start of a flight on the ground: at rest, rotors that spin up, and the lift-off, as an IMU sees them.
+"""The start of a flight on the ground, as the IMU measures it: rest, spin-up of the rotors, and lift-off.
 
-Only the motion is made, without contact forces: the vehicle stands on a slope, and within the lift-off its
-attitude and its velocity go over into those of the flight that follows.
+The motion is prescribed, without contact forces: the vehicle stands on a slope, and during lift-off its
+attitude and velocity change smoothly into those of the flight.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from .hand_held import body_rate
 Array = NDArray[np.float64]
 STAND_S, SPIN_UP_S, LIFT_OFF_S = (1.0, 5.0), (0.5, 3.0), (0.5, 1.5)
 """Ranges of the time at rest with stopped rotors, of the spin-up time of the rotors, and of the time from
-lift-off to the motion of the flight [s]; each flight draws its own numbers."""
+lift-off to the motion of the flight [s]. The times are drawn for each flight."""
 SLOPE_DEG = 4.0
 """Largest slope of the ground [deg]."""
 
@@ -24,7 +24,7 @@ SLOPE_DEG = 4.0
 def start_on_ground(
     log: NDArray[np.void], rate_hz: float, seeds: Sequence[np.random.SeedSequence]
 ) -> NDArray[np.int64]:
-    """Put the start on the ground before each flight, whose end falls away.
+    """Prepend a start on the ground to each flight, and drop the same number of samples from its end.
 
     Args:
         log: Flights, (n, T) records of `quadsim.motion.rotors.state_dtype`; changed.
@@ -32,7 +32,7 @@ def start_on_ground(
         seeds: One per flight.
 
     Returns:
-        Samples of the start, (n,).
+        Number of samples of the start, (n,).
     """
     before = np.zeros(len(log), np.int64)
     for i, (flight, seed) in enumerate(zip(log, seeds, strict=True)):
@@ -44,7 +44,7 @@ def start_on_ground(
 
 
 def _start(first: np.void, rate_hz: float, rng: np.random.Generator) -> NDArray[np.void]:
-    """Samples before the first of a flight."""
+    """Return the samples before the first one of a flight."""
     stand, spin_up, lift_off = (rng.uniform(*span) for span in (STAND_S, SPIN_UP_S, LIFT_OFF_S))
     slope, towards = np.radians(SLOPE_DEG) * np.sqrt(rng.uniform()), rng.uniform(-np.pi, np.pi)
     t = np.arange(round((stand + spin_up + lift_off) * rate_hz)) / rate_hz
@@ -70,6 +70,6 @@ def _start(first: np.void, rate_hz: float, rng: np.random.Generator) -> NDArray[
 
 
 def _smooth(x: Array) -> tuple[Array, Array]:
-    """From 0 at x = 0 to 1 at 1, 10 x³ − 15 x⁴ + 6 x⁵, and its derivative."""
+    """Return 10 x³ − 15 x⁴ + 6 x⁵, which rises from 0 at x = 0 to 1 at x = 1, and its derivative."""
     x = np.clip(x, 0.0, 1.0)
     return x**3 * (10.0 - 15.0 * x + 6.0 * x**2), 30.0 * x**2 * (1.0 - x) ** 2

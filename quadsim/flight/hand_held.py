@@ -1,8 +1,8 @@
-"""Motion of an IMU in the hand: turns to any attitude and shifts, with rests between, in closed form.
+"""Motion of a hand-held IMU, in closed form: rotations to any attitude, translations, and rests between them.
 
-Roll, pitch, yaw and position are sums of sines of a clock that runs while the hand moves and stops while it
-rests, so that rates and accelerations are exact derivatives and a rest has the attitude that it came to. The
-position has the spectrum of white noise behind three equal lags (Matérn 5/2), which an arm's reach bounds.
+Roll, pitch, yaw and position are sums of sines of a clock that runs while the hand moves and stops while the
+hand rests. Rates and accelerations are therefore exact derivatives. The position has the spectrum of white
+noise after three equal first-order lags (Matérn 5/2), so that it stays within the reach of an arm.
 """
 
 from collections.abc import Sequence
@@ -24,44 +24,47 @@ Push = Annotated[float, Between(1e-3, 100.0, "m/s²")]
 Stretch = Annotated[float, Between(0.1, 1000.0, "s")]
 
 TURN_HZ, TURN_SINES = (0.05, 1.5), 12
-"""Band of the angles, and their sines: of the same rate each, frequencies drawn log-uniformly."""
+"""Frequency band [Hz] and number of the sines of each angle. Each sine has the same rate, and the frequencies
+are drawn log-uniformly."""
 SHIFT_HZ, SHIFT_SINES = (0.1, 12.0), 36
-"""Band of the position, to the fastest tremor of a hand, and its sines: one in each equal part of log f."""
+"""Frequency band [Hz] of the position, up to the fastest tremor of a hand, and number of sines, one in each
+equal part of log f."""
 PACE_HZ = (1.2, 2.5)
-"""Range of the corner of the position's spectrum; at 1.6 Hz, 5 m/s² are 5 cm, root mean square."""
+"""Range of the corner frequency of the position [Hz]. At 1.6 Hz, an RMS acceleration of 5 m/s² is an RMS
+position of 5 cm."""
 SWELL_S = (4.0, 20.0)
-"""Range of the period in which the motion swells to e times its middle size and falls to 1/e of it [s]."""
+"""Range of the period in which the amplitude rises to e times and falls to 1/e of its middle value [s]."""
 RAMP_S = 0.5
-"""Time in which a motion begins and ends [s]."""
+"""Duration of the beginning and of the end of a motion [s]."""
 UP = np.array([0.0, 0.0, 1.0])
-"""In the world."""
+"""Direction of the world's z axis."""
 
 
 class HandHeld(Strict):
-    """An IMU that is moved by hand; each flight draws its own root mean squares, log-uniformly."""
+    """An IMU that is moved by hand. The RMS rate and acceleration of each flight are drawn log-uniformly."""
 
     rate_deg_s: Annotated[tuple[Turn, Turn], Rising] = (20.0, 200.0)
-    """Range of the root mean square of the body rate, per axis [deg/s]."""
+    """Range of the RMS body rate, per axis [deg/s]."""
     acceleration: Annotated[tuple[Push, Push], Rising] = (0.3, 6.0)
-    """Range of the root mean square of the acceleration, per axis [m/s²]."""
+    """Range of the RMS acceleration, per axis [m/s²]."""
     move_s: Annotated[tuple[Stretch, Stretch], Rising] = (5.0, 30.0)
-    """Range of the length of a motion [s]."""
+    """Range of the duration of a motion [s]."""
     rest_s: Annotated[tuple[Stretch, Stretch], Rising] = (1.0, 8.0)
-    """Range of the length of a rest [s]."""
+    """Range of the duration of a rest [s]."""
 
 
 def move_by_hand(spec: HandHeld, steps: int, rate_hz: float, seeds: Seeds) -> dict[str, Array]:
-    """True motion of one IMU per seed.
+    """Compute the true motion of one IMU per seed.
 
     Args:
-        spec: How it is moved.
+        spec: Parameters of the motion.
         steps: Samples.
         rate_hz: Samples per second.
         seeds: One per flight.
 
     Returns:
-        position, velocity (world), quat, ang_vel, specific_force (body) and ang_acc, each (n, T, ·), as
-        `quadsim.plant.State` has them.
+        position, velocity (world), quat, ang_vel, specific_force (body) and ang_acc, each (n, T, ·), as in
+        `quadsim.plant.State`.
     """
     flights = [_flight(spec, steps, rate_hz, np.random.default_rng(seed)) for seed in seeds]
     return {name: np.stack([flight[name] for flight in flights]) for name in flights[0]}
@@ -91,7 +94,7 @@ def _flight(spec: HandHeld, steps: int, rate_hz: float, rng: np.random.Generator
 
 
 def body_rate(angles: Array, derivative: Array) -> Array:
-    """Body rate (T, 3) [rad/s] of roll, pitch, yaw (T, 3) [rad] and their derivatives [rad/s]."""
+    """Return the body rate (T, 3) [rad/s] from roll, pitch, yaw (T, 3) [rad] and their derivatives."""
     (roll, pitch, _), (d_roll, d_pitch, d_yaw) = angles.T, derivative.T
     return np.stack(
         [
@@ -104,7 +107,10 @@ def body_rate(angles: Array, derivative: Array) -> Array:
 
 
 def _clock(spec: HandHeld, time: Array, rng: np.random.Generator) -> tuple[Array, Array, Array]:
-    """Time of the motion (T,) [s], and its first and second derivative; it begins at any point of a cycle."""
+    """Return the clock (T,) [s] and its first and second derivative.
+
+    The start within a cycle of moving and resting is random.
+    """
     from scipy.interpolate import PchipInterpolator  # scipy.interpolate takes a tenth of a second
 
     knots, values = [-float(rng.uniform(0.0, spec.move_s[0] + spec.rest_s[0]))], [1.0]
@@ -117,7 +123,7 @@ def _clock(spec: HandHeld, time: Array, rng: np.random.Generator) -> tuple[Array
 
 
 def _shifts(clock: Array, push: float, rng: np.random.Generator) -> tuple[Array, Array, Array]:
-    """Position (T, 3) with its first two derivatives, of that root mean square of the second.
+    """Return the position (T, 3) and its first two derivatives, for an RMS of the second derivative.
 
     S_a(ω) ∝ ω⁴ / (ω² + λ²)³ times a swell e^(sin Ωt), whose mean square is I₀(2).
     """
@@ -142,7 +148,7 @@ def _shifts(clock: Array, push: float, rng: np.random.Generator) -> tuple[Array,
 def _sines(
     clock: Array, frequency: Array, amplitude: Array, rng: np.random.Generator
 ) -> tuple[Array, Array, Array]:
-    """Three sums (T, 3) of sines (3, k) with their first two derivatives."""
+    """Return three sums (T, 3) of sines (3, k) and their first two derivatives."""
     angle = frequency * clock[:, None, None] + rng.uniform(0.0, 2.0 * np.pi, frequency.shape)
     sine, cosine = np.sin(angle), np.cos(angle)
     return (

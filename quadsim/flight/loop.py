@@ -1,7 +1,7 @@
 """The closed loop of one instant: plant, IMU, attitude estimator, controller, rotors.
 
-One instant k: the plant's state → IMU sample → estimate of roll and pitch → controller → rotors →
-the state at k + 1. `FlightLoop` is that loop, whoever drives it.
+At instant k: state of the plant → IMU sample → estimate of roll and pitch → controller → rotors → state at k
++ 1.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,12 +28,12 @@ Array = NDArray[np.float64]
 class FlightLoop:
     """n closed loops, one sample at a time.
 
-    The estimator, `corrupt` and the controller get copies: what they change in place moves no vehicle.
+    The estimator, `corrupt` and the controller receive copies, so they cannot change the state of a vehicle.
 
     After `reset` and after every `step`, `readings` (n, ·) and `attitude` (n, 2), the estimated roll and
-    pitch, belong to the state in `plant`. `measured_state` (n,) holds what the controller gets, records of
-    `quadsim.control.records.MEASURED`; `k` is its count of samples. `crashed` vehicles are beyond the limits
-    in the records' field `flight`, which are infinite unless they are set.
+    pitch, belong to the state in `plant`. `measured_state` (n,) is the input of the controller, records of
+    `quadsim.control.records.MEASURED`, whose field `k` counts samples. `crashed` marks vehicles beyond the
+    limits in the field `flight` of the records; by default, these limits are infinite.
 
     Args:
         vehicle: One vehicle, or n of them. The controller is tuned for the first.
@@ -41,17 +41,19 @@ class FlightLoop:
         rate_hz: Samples per second.
         imu: The IMU, or one for each vehicle; None for a perfect one.
         estimator: Source of roll and pitch; None for the truth.
-        seed: Seed of the IMU, an integer or one SeedSequence per vehicle.
-        contact: Whether the ground can be touched; the engine then makes 1 ms steps, implicitly.
+        seed: Seed of the IMU: a whole number, or one SeedSequence per vehicle.
+        contact: Whether the ground can be touched. The engine then uses implicit steps of 1 ms.
         external: Source of position, velocity and yaw; None for the truth.
-        corrupt: Called as corrupt(readings, k) on every sample, k (n,) counting each vehicle's samples from
-            0; may change readings in place: sensor faults. At NaN the controller holds its last body rate.
+        corrupt: Sensor faults, called as corrupt(readings, k) on every sample, where k (n,) counts each
+            vehicle's samples from 0. The function may change the readings in place. Where the body rate is
+            NaN, the controller uses the last one.
         nominal: The vehicle that the controller is tuned for, instead of the first.
-        engine: What integrates the motion, see `quadsim.plant.Plant`.
-        controller: Makes the attitude controller; None for the cascade's own.
-        plans: Set-points and winds, (n, T) records of `PLAN`, of which the last ones hold; None for none.
-        log: (n, t) records of `quadsim.motion.rotors.state_dtype`, where the states at the last t samples of
-            the plans are written.
+        engine: Integrator of the motion; see `quadsim.plant.Plant`.
+        controller: Function that makes the attitude controller; None for the cascade.
+        plans: Set-points and winds, (n, T) records of `PLAN`. After T samples, the last record is used. None:
+            no plans.
+        log: (n, t) records of `quadsim.motion.rotors.state_dtype`, to which the states at the last t samples
+            of the plans are written.
     """
 
     def __init__(
@@ -112,14 +114,14 @@ class FlightLoop:
         attitude_error: Array | None = None,
         ids: NDArray[np.int64] | None = None,
     ) -> None:
-        """Reset all vehicles, or those in `ids` (m,), whose first sample is then that of the next `sense`.
+        """Reset all vehicles, or those in `ids` (m,), whose first sample is taken by the next `sense`.
 
-        The first four arguments are those of `Plant.reset`. The estimator starts level, unless
-        `known_attitude`: then it starts at the true roll and pitch, turned by `attitude_error`, rotation
-        vectors (m, 3) in world axes [rad].
+        The first four arguments are those of `Plant.reset`. The estimator starts level. With
+        `known_attitude`, it starts at the true roll and pitch, rotated by `attitude_error`, rotation vectors
+        (m, 3) in world axes [rad].
 
         Raises:
-            ValueError: If the estimator cannot restart single vehicles.
+            ValueError: The estimator cannot restart single vehicles.
         """
         rows = np.arange(self.n) if ids is None else ids
         self.plant.reset(position, velocity, quat, ang_vel, ids=rows)
@@ -140,7 +142,7 @@ class FlightLoop:
             self.sense()
 
     def put_back(self) -> None:
-        """Put crashed vehicles back above their set-points, so that none of their numbers overflows."""
+        """Move crashed vehicles back above their set-points, so that their numbers do not overflow."""
         if self.crashed:
             crashed = np.flatnonzero(self.records["flight"]["crashed"])
             self.plant.reset(position=self.target["position"][crashed] + [0.0, 0.0, 1.0], ids=crashed)
@@ -149,13 +151,13 @@ class FlightLoop:
     def step(
         self, level: Level = "position", command: Command | None = None, wind: Array | None = None
     ) -> None:
-        """Advance by one sample: control from the present estimate, move, sense.
+        """Advance by one sample: control with the current estimate, move, sense.
 
         Args:
-            level: Where the command enters the cascade, see `quadsim.control.cascade`.
-            command: (n, width of the level), or (n,) records; None for what is in the records, where the
-                plan's set-point is by default.
-            wind: (n, 3) world [m/s]; None for the plan's.
+            level: Level at which the command enters the cascade; see `quadsim.control.cascade`.
+            command: (n, width of the level), or (n,) records. None uses the command in the records, by
+                default the set-point of the plan.
+            wind: (n, 3), world axes [m/s]; None for the wind of the plan.
         """
         if self.plant.engine is None:
             self._step(self._accept(level, command, wind), self.plant.substeps)
@@ -164,7 +166,7 @@ class FlightLoop:
             self.sense()
 
     def follow(self, samples: int) -> None:
-        """Advance by several samples of the plans, without IMU, estimator or external sensor."""
+        """Advance by several samples of the plans without IMU, estimator or external sensor."""
         if self.plant.engine is None:
             self._step(POSITION, self.plant.substeps, samples)
         else:
@@ -174,16 +176,19 @@ class FlightLoop:
     def move(
         self, level: Level = "position", command: Command | None = None, wind: Array | None = None
     ) -> None:
-        """The first half of `step`: control and motion."""
+        """Run the first half of `step`: control and motion."""
         start(self._accept(level, command, wind), self.records)
         self.plant.move()
 
     def sense(self) -> None:
-        """The second half of `step`: IMU, the plan's next sample, external sensor and estimate."""
+        """Run the second half of `step`: IMU, next sample of the plan, external sensor and estimate."""
         self._step(0, 0)
 
     def _accept(self, level: Level, command: Command | None, wind: Array | None) -> int:
-        """Write command and wind of a step to the records; returns the number of the level there."""
+        """Write command and wind of a step to the records.
+
+        Return the number of the level of the written command.
+        """
         if wind is not None:
             self.records["flight"]["wind"] = wind
         if command is not None:
@@ -192,7 +197,7 @@ class FlightLoop:
         return index if self.inner is None else self.inner.steer(index, self.readings.accel)
 
     def _step(self, level: int, substeps: int, samples: int = 1) -> None:
-        """Compiled steps, then sensor faults and estimate."""
+        """Run the compiled steps, then sensor faults and the estimator."""
         noise, at = (NO_NOISE, 0) if self.imu is None else (self.imu.noise, self.imu.next_samples())
         plans, log, out = self.plans, self.log, self.external
         self.crashed, spent = step(

@@ -1,7 +1,7 @@
-"""A mission: n flights of one scenario on one estimator, one sample at a time, and who judges their crashes.
+"""A mission: n flights of one scenario with one estimator, one sample at a time, with detection of crashes.
 
-The closed-loop benchmark and the Gymnasium environments both fly missions. A flight depends on the scenario,
-the estimator and its own seed, and on nothing else: neither on n, nor on the flights beside it.
+The closed-loop benchmark and the Gymnasium environments both fly missions. A flight depends only on the
+scenario, the estimator and its own seed.
 """
 
 import math
@@ -35,21 +35,20 @@ Seeds = Sequence[np.random.SeedSequence]
 
 
 class Mission(FlightLoop):
-    """The loops of n flights of a scenario. `begin` them, then `step` until `k` reaches `steps`.
+    """The loops of n flights of a scenario. Call `begin`, then `step` until `k` reaches `steps`.
 
-    `k` (n,) counts each flight's samples; `target` (n,), records of `SET_POINT`, and `air` (n, 3) are its
-    set-point and wind; `cause` (n,) tells which flights have crashed, and why. What a crashed vehicle does
-    then means nothing: it is put back above its set-point as often as it crashes again, so that no number
-    overflows.
+    `k` (n,) counts the samples of each flight. `target` (n,), records of `SET_POINT`, and `air` (n, 3) are
+    set-point and wind. `cause` (n,) is the cause of a crash; 0 means no crash. The motion of a vehicle after
+    a crash has no meaning: the vehicle is moved back above its set-point whenever it crashes again.
 
     Args:
-        scenario: What to fly.
+        scenario: The scenario.
         estimator: Source of roll and pitch; None for the truth.
         n: Number of flights.
         rate_hz: Samples per second.
         duration_s: Length of a flight, instead of the scenario's.
-        controller: Makes the attitude controller, see `quadsim.control.attitude_controller`; None for the
-            cascade's own.
+        controller: Function that makes the attitude controller, see `quadsim.control.attitude_controller`;
+            None for the cascade.
     """
 
     def __init__(
@@ -68,7 +67,7 @@ class Mission(FlightLoop):
         self._outside, self._make = load_external(scenario.external), controller
 
     def begin(self, seeds: Seeds) -> None:
-        """Begin all flights, one seed each."""
+        """Begin all flights, with one seed each."""
         if len(seeds) != self.n:
             raise ValueError(f"{len(seeds)} seeds for {self.n} flights; there must be one for each")
         faults, crash, external = self.scenario.faults, self.scenario.crash, None
@@ -105,9 +104,11 @@ class Mission(FlightLoop):
         self._flights["cause"] = self._flights["crashed"] = self.crashed = FLYING
 
     def restart(self, ids: NDArray[np.int64], seeds: Seeds) -> None:
-        """Restart some flights, one seed each, while the others continue; call `sense` before they are read.
+        """Restart some flights, with one seed each, while the others continue.
 
-        Sensor noise and faults continue with what the seed of the vehicle's first flight holds for its next.
+        Call `sense` before reading their state.
+
+        Sensor noise and faults continue the random streams of the seed of the vehicle's first flight.
         """
         drawn = self._drawn(seeds)
         self.plans[ids] = plans = self._plan(seeds, drawn)
@@ -120,7 +121,7 @@ class Mission(FlightLoop):
         self.reset(**self._start(seeds, plans["target"][:, 0]), ids=ids)
 
     def _accept(self, level: Level, command: Command | None, wind: Array | None) -> int:
-        """Put crashed vehicles back above their set-points, and let the faults of vehicles act."""
+        """Move crashed vehicles back above their set-points, and apply the faults of vehicles."""
         self.put_back()
         if self._faults.any:
             self._faults.apply(self.k)
@@ -131,13 +132,13 @@ class Mission(FlightLoop):
         return domains(self.vehicle, self._spec, spread, children(seeds, BODY))
 
     def _plan(self, seeds: Seeds, drawn: Sequence[Domain]) -> NDArray[np.void]:
-        """Set-points and winds of whole flights, (n, steps + 1) records of `PLAN`."""
+        """Return set-points and winds of complete flights, (n, steps + 1) records of `PLAN`."""
         path, air = children(seeds, TRAJECTORY), children(seeds, AIR)
         scenario, steps = self.scenario, self.steps + 1
         return planned(scenario.trajectory, scenario.wind, drawn, steps, self.rate_hz, path, air)
 
     def _start(self, seeds: Seeds, first: NDArray[np.void]) -> dict[str, Any]:
-        """Arguments of `FlightLoop.reset`, from the first set-points (n,)."""
+        """Return the arguments of `FlightLoop.reset` for the first set-points (n,)."""
         start = self.scenario.start
         randoms = map(np.random.default_rng, children(seeds, BEGINNING))
         angles = np.array([random.uniform(-np.pi, np.pi, 4) for random in randoms])
@@ -165,7 +166,7 @@ def planned(
     path: Seeds,
     air: Seeds,
 ) -> NDArray[np.void]:
-    """Set-points and winds of a flight for each domain and pair of seeds, (n, steps) records of `PLAN`."""
+    """Return set-points and winds per domain and pair of seeds, (n, steps) records of `PLAN`."""
     plans = np.zeros((len(path), steps), PLAN)
     plans["target"] = reference(trajectory, steps, rate_hz, path)
     if wind:

@@ -1,4 +1,4 @@
-"""Recipes: what a dataset's flights are made of, as a TOML file of names and numbers."""
+"""Recipes: TOML files that define the flights of a dataset."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -21,7 +21,8 @@ from .scenario import Surroundings
 class AttitudeError(Strict):
     """Errors of the roll and pitch that the controller receives, like those of an estimator in the loop.
 
-    First-order Gauss-Markov on each angle. The vehicle then swings as it does on a real estimator.
+    The error of each angle is a first-order Gauss-Markov process, so the vehicle moves as with a real
+    estimator.
     """
 
     sd_deg: Annotated[float, Between(0.0, 15.0, "°")] = 0.0
@@ -32,7 +33,7 @@ class AttitudeError(Strict):
     def series(
         self, n_steps: int, rate_hz: float, seeds: Sequence[np.random.SeedSequence]
     ) -> NDArray[np.float64]:
-        """Errors of roll and pitch of one flight per seed, (n, steps, 2) [rad], stationary from the start."""
+        """Draw stationary errors of roll and pitch, one flight per seed, (n, steps, 2) [rad]."""
         from scipy.signal import lfilter  # takes half a second
 
         white = np.stack([np.random.default_rng(seed).normal(size=(n_steps, 2)) for seed in seeds])
@@ -42,12 +43,12 @@ class AttitudeError(Strict):
 
 
 def _by_name(load: Callable[[str], Model], model: type[Model]) -> BeforeValidator:
-    """Read in what is given by its name."""
+    """Load a model that is given by its name."""
 
     def read(given: Any) -> Any:
         if isinstance(given, str):
             return load(given)
-        return parse(given, model, model.__name__) if isinstance(given, dict) else given
+        return parse(given, model, "") if isinstance(given, dict) else given
 
     return BeforeValidator(read)
 
@@ -57,7 +58,7 @@ NamedImu: TypeAlias = Annotated[ImuSpec, _by_name(load_imu, ImuSpec)]
 
 
 class Recipe(Surroundings):
-    """A kind of flight to generate: a domain for training and testing, stored whole in every dataset."""
+    """A kind of flight to generate, for training and testing. Every dataset stores its complete recipe."""
 
     description: str = Field(default="", exclude=True)
     """Purpose of these flights, in one sentence."""
@@ -68,20 +69,21 @@ class Recipe(Surroundings):
     imu: NamedImu = Field(default="adis16448", validate_default=True)
     """A shipped IMU, or the path of a TOML file."""
     trajectory: Trajectory = Mix()
-    """What to fly."""
+    """Trajectory of the flights."""
     attitude_error: AttitudeError = AttitudeError()
     """Error of the roll and pitch that the controller receives."""
     hand_held: HandHeld | None = None
-    """Motion by hand instead of a flight: an IMU without a vehicle."""
+    """Hand-held motion of an IMU without a vehicle, instead of a flight."""
     ground: bool = False
-    """Whether flights start at rest on sloping ground; as many samples are dropped from their end."""
+    """Whether flights start at rest on sloping ground. The same number of samples is dropped from their
+    end."""
     warmup_s: Annotated[float, Between(0.0, 60.0, "s")] = 4.0
-    """Time that is simulated before the recording, so that flights begin in motion [s]."""
+    """Time that is simulated before the recording starts, so that flights begin in motion [s]."""
 
     @model_validator(mode="after")
     def _has_no_delay(self) -> "Recipe":
         if self.randomisation.delay:
-            raise ValueError("randomisation.delay: a dataset has no external sensor, leave it out")
+            raise ValueError("randomisation.delay: a dataset has no external sensor, so omit this key")
         return self
 
 
@@ -91,23 +93,30 @@ class Variant(Strict):
     recipe: str
     """A shipped recipe, or a TOML file."""
     changes: dict[str, Any] = Field(default={})
-    """Changed keys of the recipe; other keys of a table keep their values."""
+    """Changed keys of the recipe. Other keys of a table keep their values."""
 
 
 def load_recipe(source: str | Path) -> Recipe:
-    """Read a recipe: a shipped name ("hummingbird") or a TOML file, from whose folder its paths count."""
+    """Read a recipe: a shipped name ("hummingbird") or a TOML file, whose paths start from its folder."""
     return load_toml(source, "recipes", Recipe)
 
 
 def changed_recipe(source: str | Path, changes: Mapping[str, Any], label: str) -> Recipe:
-    """A recipe with changes, as those of a `Variant`.
+    """Load a recipe and change some of its keys.
 
     Args:
-        source: As `load_recipe` takes it.
-        changes: Keys that differ.
-        label: What to call the changes in an error.
+        source: A shipped name or a TOML file.
+        changes: New values by key; in a table, only the given keys change.
+        label: Name of the changes in error messages.
 
     Raises:
         ValueError: One line with the label, the key, its value and what is allowed.
     """
-    return parse(merged(load_recipe(source).model_dump(mode="json"), changes), Recipe, label)
+    base = load_recipe(source)
+    trajectory = changes.get("trajectory")
+    if isinstance(trajectory, dict) and trajectory.get("kind", base.trajectory.kind) != base.trajectory.kind:
+        raise ValueError(
+            f"{label}: trajectory.kind = {trajectory['kind']!r}: another kind of trajectory has other keys; "
+            "write a recipe file of your own, and give --recipe FILE.toml"
+        )
+    return parse(merged(base.model_dump(mode="json"), changes), Recipe, label)

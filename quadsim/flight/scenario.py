@@ -1,6 +1,6 @@
-"""Scenarios: what to fly, in which wind, from which start, with which faults, and what counts as a crash.
+"""Scenarios: trajectory, wind, start, faults and crash limits of flights in closed loop.
 
-A scenario is a TOML file that stands alone; `load_scenario` takes the name of a shipped one or a path.
+A scenario is a complete TOML file. `load_scenario` accepts the name of a shipped scenario or a path.
 """
 
 from collections.abc import Mapping
@@ -18,50 +18,51 @@ from .faults import Fault
 
 
 class Start(Strict):
-    """How a flight begins: at its first set-point, unless displaced or tilted."""
+    """Start of a flight: the first set-point, with optional displacement, speed and tilt."""
 
     offset: Position = (0.0, 0.0, 0.0)
     """Displacement from the first set-point, world axes [m]."""
     speed: Speed = 0.0
-    """Horizontal speed on top of the set-point's, in a direction drawn for each seed [m/s]."""
+    """Additional horizontal speed, in a direction drawn for each seed [m/s]."""
     tilt_deg: Annotated[float, Between(0.0, 90.0, "°")] = 0.0
-    """Initial tilt, about a horizontal axis drawn for each seed [deg]."""
+    """Initial tilt about a horizontal axis drawn for each seed [deg]."""
     rate_deg: RateDeg = 0.0
     """Initial body rate, about a horizontal axis drawn for each seed [deg/s]."""
     known_attitude: bool = False
-    """Whether the initial attitude is given to the estimator; otherwise it starts level."""
+    """Whether the estimator is given the initial attitude; otherwise, the estimator starts level."""
     attitude_error_deg: Annotated[float, Between(0.0, 90.0, "°")] = 0.0
     """Error of the given initial attitude, about a horizontal axis drawn for each seed [deg]."""
 
 
 class Crash(Strict):
-    """Limits of a flight. It crashes when one of them is exceeded, or when it hits the ground.
+    """Limits of a flight. A vehicle has crashed when it exceeds a limit or hits the ground.
 
-    It hits the ground when its centre of mass is below z = 0, world axes. Samples after a crash do not count.
+    A vehicle has hit the ground when its centre of mass is below z = 0 in world axes. Samples after a crash
+    are not used.
     """
 
     tilt_deg: Annotated[float, Between(1.0, 180.0, "°")] = 75.0
-    """Largest tilt [deg]; the controller commands at most 60°."""
+    """Largest tilt [deg]. The controller commands at most 60°."""
     distance: Distance = 10.0
     """Largest distance from the set-point [m]."""
 
 
 class Surroundings(Strict):
-    """What recipes and scenarios have in common."""
+    """Keys that recipes and scenarios have in common."""
 
     wind: tuple[WindSpec, ...] = ()
-    """Winds, added up."""
+    """Winds; their velocities are added."""
     randomisation: Randomisation = Randomisation()
-    """Ranges of the parameters of vehicle, IMU, wind and delay, which are drawn for each flight."""
+    """Ranges from which parameters of vehicle, IMU, wind and delay are drawn for each flight."""
     engine: Engine = "auto"
-    """What integrates the motion: "mujoco", or "auto", its scheme for free flight, compiled."""
+    """Integrator of the motion: "mujoco", or "auto", which uses a faster compiled version in free flight."""
 
 
 class Scenario(Surroundings):
     """A situation in flight, which can be simulated with any estimator and any number of seeds."""
 
     description: str
-    """The difficulty for an estimator, in one sentence; shown in reports."""
+    """The difficulty for an estimator, in one sentence. Reports show this sentence."""
     duration_s: Annotated[float, Between(1e-3, 3600.0, "s")] = 20.0
     """Length of a flight [s]."""
     vehicle: str = "hummingbird"
@@ -69,17 +70,19 @@ class Scenario(Surroundings):
     imu: str = "adis16448"
     """A shipped IMU, or the path of a TOML file."""
     drag_factor: Annotated[float, Between(0.0, 100.0)] = 1.0
-    """True drag divided by that of the vehicle's file, which estimators receive."""
+    """True drag divided by the drag in the vehicle's file. Estimators are given the drag in the file."""
     vehicle_known: bool = True
-    """Whether estimators receive the vehicle; if not, estimators that need one do not fly."""
+    """Whether estimators are given the vehicle. If not, estimators that need the vehicle cannot fly the
+    scenario."""
     external: str = "ideal"
     """Source of position, velocity and yaw: a shipped external sensor, or the path of a TOML file."""
     contact: bool = False
-    """Whether the ground can be touched, at five times the cost; otherwise, touching it is a crash."""
+    """Whether contact with the ground is simulated, which takes five times as long. Otherwise, contact is a
+    crash."""
     trajectory: Trajectory = Hover()
-    """The set-points."""
+    """Trajectory of the set-points."""
     start: Start = Start()
-    """How a flight begins."""
+    """Start of a flight."""
     faults: tuple[Fault, ...] = ()
     """Faults, in the order in which they act on a sample."""
     crash: Crash = Crash()
@@ -89,19 +92,19 @@ class Scenario(Surroundings):
 def load_scenario(source: str | Path) -> Scenario:
     """Read a scenario: a shipped name ("hover") or the path of a TOML file.
 
-    Relative paths in a file are from its folder.
+    Relative paths in the file start from the folder of the file.
 
     Raises:
-        ValueError: One line with the file, the key, its value and what is allowed.
+        ValueError: The file is invalid; the message names the key, its value and the allowed values.
     """
     return load_toml(source, "scenarios", Scenario)
 
 
 def changed(spec: Model, changes: Mapping[str, Any]) -> Model:
-    """A scenario or a recipe with some of its fields changed, and checked.
+    """Return a scenario or a recipe with some fields changed; the new values are checked.
 
     Raises:
-        ValueError: A value that the field cannot have.
+        ValueError: A value is not valid for its field.
     """
     try:
         return type(spec).model_validate(spec.model_dump() | dict(changes))
@@ -110,5 +113,5 @@ def changed(spec: Model, changes: Mapping[str, Any]) -> Model:
 
 
 def scenario_names() -> list[str]:
-    """Names of the shipped scenarios, sorted."""
+    """Return the names of the shipped scenarios, sorted."""
     return preset_names("scenarios")

@@ -1,4 +1,4 @@
-"""Flights for a dataset: many at once, with the true attitude plus a configured error, recorded."""
+"""Flights for a dataset: the controller receives the true attitude plus a configured error."""
 
 from collections.abc import Sequence
 
@@ -26,7 +26,7 @@ MAX_BODY_RATE = 150.0  # rad/s: a vehicle beyond either has diverged
 def simulate_flights(
     config: Recipe, seeds: Seeds, steps: int, rate_hz: float = 200.0
 ) -> dict[str, Array | NDArray[np.int64] | list[str]]:
-    """Fly one flight per seed on true attitude, but for the configured error, and record it.
+    """Simulate and record one flight per seed, with the true attitude plus the configured error in the loop.
 
     Args:
         config: What to fly.
@@ -35,9 +35,9 @@ def simulate_flights(
         rate_hz: Samples per second.
 
     Returns:
-        Arrays (n, T, ...) gyro accel ang_vel specific_force quat position velocity rotor_vel rotor_vel_cmd
-        wind gyro_bias accel_bias, and `end_step` (n,), the number of valid samples of each flight (a vehicle
-        that diverges holds its last valid sample), with `end_reason`, "" for a whole flight.
+        Arrays (n, T, ...) gyro, accel, ang_vel, specific_force, quat, position, velocity, rotor_vel,
+        rotor_vel_cmd, wind, gyro_bias and accel_bias; `end_step` (n,), the number of valid samples, after
+        which a flight repeats its last valid sample; and `end_reason`, "" for a complete flight.
     """
     log = np.zeros((len(seeds), steps), state_dtype(len(config.vehicle.rotors)))
     end, drawn = np.full(len(seeds), steps), _domains(config, seeds)
@@ -75,16 +75,17 @@ def recipe_loop(
     controller: MakeController | None = None,
     drawn: Sequence[Domain] | None = None,
 ) -> FlightLoop:
-    """The loops of flights of a recipe, one per seed, at their first sample.
+    """Make the loops of flights of a recipe, one per seed, at their first sample.
 
     Args:
-        config: What to fly, but for motion by hand and the ground.
-        seeds: One per flight; flight i depends on seeds[i] alone.
-        steps: Samples that are planned.
+        config: The recipe; hand-held motion and the start on the ground are ignored.
+        seeds: One per flight; flight i depends only on seeds[i].
+        steps: Number of planned samples.
         rate_hz: Samples per second.
-        log: Where the states are written, see `FlightLoop`.
-        controller: Flies on the readings of the IMU; None for the cascade, which has the true body rate.
-        drawn: What their randomisation has drawn, one per seed; None draws it.
+        log: Records to which the states are written; see `FlightLoop`.
+        controller: Function that makes a controller, which receives the readings of the IMU; None for the
+            cascade, which receives the true body rate.
+        drawn: Randomised domains, one per seed; None draws them.
     """
     path, air, angles = (children(seeds, part) for part in (TRAJECTORY, AIR, ANGLES))
     drawn = drawn or _domains(config, seeds)
@@ -111,9 +112,11 @@ def recipe_loop(
 
 
 def _held(log: NDArray[np.void]) -> NDArray[np.int64]:
-    """Valid samples of each flight (n,) of a log (n, T); after them it holds the last one, changed in place.
+    """Return the number of valid samples of each flight (n,) of a log (n, T).
 
-    A flight without a valid sample is level and at rest: even that holds rotations.
+    Repeat the last valid one after them, in place.
+
+    A flight without a valid sample is filled with a level vehicle at rest.
     """
     numbers = log.view(np.float64).reshape(*log.shape, -1)
     with np.errstate(invalid="ignore", over="ignore"):

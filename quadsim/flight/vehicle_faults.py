@@ -1,4 +1,4 @@
-"""Faults of the vehicle: its mass, its rotors, the place of its IMU; what they do to the plant."""
+"""Faults of the vehicle: its mass, its rotors and the position of its IMU."""
 
 from collections.abc import Sequence
 from typing import Annotated, Literal, TypeAlias
@@ -20,7 +20,7 @@ class Timed(Strict):
 
 
 class LeverArm(Strict):
-    """The IMU is not at the centre of mass, and no estimator knows this."""
+    """The IMU is not at the centre of mass, and estimators are not given its position."""
 
     kind: Literal["lever-arm"]
     position: Arm
@@ -28,7 +28,7 @@ class LeverArm(Strict):
 
 
 class PayloadDrop(Timed):
-    """The vehicle starts with a payload that the controller does not know, and drops it."""
+    """The vehicle drops a payload, whose mass is not known to the controller."""
 
     kind: Literal["payload-drop"]
     mass: Mass
@@ -36,22 +36,23 @@ class PayloadDrop(Timed):
 
 
 class ThrustLoss(Timed):
-    """One rotor or all produce less thrust, for example because of a chipped blade or an empty battery."""
+    """One or all rotors produce less thrust, for example because of a chipped blade or an empty battery."""
 
     kind: Literal["thrust-loss"]
     rotor: Annotated[int, Between(0, MAX_ROTORS - 1)] | None = None
     """Index of the rotor, in the order of the vehicle's file; default: all rotors."""
     effect: Share
-    """Remaining share of the thrust at the end."""
+    """Share of the thrust that remains at the end."""
     fade_s: Instant = 0.0
-    """Duration of the fading [s]; 0 for a sudden loss."""
+    """Duration of the loss [s]; 0 for a sudden loss."""
 
 
 class GroundEffect(Strict):
     """Near the ground, the rotors produce 1 / (1 − (R / 4z)²) times the thrust at the same speed.
 
-    R is the rotors' radius, z the height of the centre of mass, at least R / 2. Cheeseman & Bennett, "The
-    effect of the ground on a helicopter rotor in forward flight", ARC R&M 3021 (1955), in hover.
+    R is the radius of the rotors and z the height of the centre of mass, at least R / 2. The equation is that
+    of hover in Cheeseman & Bennett, "The effect of the ground on a helicopter rotor in forward flight", ARC
+    R&M 3021 (1955).
     """
 
     kind: Literal["ground-effect"]
@@ -61,13 +62,13 @@ VehicleFault: TypeAlias = PayloadDrop | ThrustLoss | GroundEffect | LeverArm
 
 
 class VehicleFaults:
-    """What the faults do to the plant: `apply` before every step, with every vehicle's count of samples."""
+    """Applies faults of the vehicle to the plant. Call `apply` before every step."""
 
     def __init__(self, faults: Sequence[Strict], plant: Plant) -> None:
-        """Take the faults of the vehicle out of all; `any` tells whether there are some.
+        """Select the faults of the vehicle among all faults; `any` is true if there are some.
 
         Raises:
-            ValueError: If a rotor fails that the vehicle does not have.
+            ValueError: A fault names a rotor that the vehicle does not have.
         """
         rotors = plant.rotor_vel.shape[1]
         for fault in faults:
@@ -81,7 +82,7 @@ class VehicleFaults:
         self._mass = self._empty.copy()
 
     def restart(self, ids: NDArray[np.int64], mass: ArrayLike) -> None:
-        """Give some vehicles their mass, (m,) [kg], and the rotors that they have before `apply`."""
+        """Set the masses (m,) [kg] and the healthy rotors of some vehicles."""
         self._empty[ids] = mass
         if self._payloads:
             self._mass[ids] = mass
@@ -89,7 +90,7 @@ class VehicleFaults:
         self._plant.rotor_effect[ids] = 1.0
 
     def apply(self, k: NDArray[np.int64]) -> None:
-        """Set masses and rotors to what they are during the step from sample k (n,) on."""
+        """Set masses and rotors to their values during the step that begins at sample k (n,)."""
         time = k / self._plant.rate_hz
         if self._payloads:
             mass = self._empty + sum(fault.mass * (time < fault.at_s) for fault in self._payloads)

@@ -1,4 +1,4 @@
-"""The record of one closed loop (vehicle, IMU, measured state, controller, flight), and its compiled step."""
+"""The record of one closed loop (vehicle, IMU, measured state, controller, flight), and the compiled step."""
 
 import math
 from functools import cache
@@ -15,11 +15,11 @@ from ..runs.compiled import njit
 
 FLYING, TILTED, GROUNDED, OUT_OF_BOUNDS, DIVERGED = range(5)
 CAUSES = ("", "tilted over", "hit the ground", "flew away", "diverged")
-"""Why a flight ended, by the codes above."""
+"""Causes of a crash in words, by the codes above."""
 
 PLAN = np.dtype([("target", SET_POINT), ("wind", "f8", 3), ("attitude_error", "f8", 2)])
-"""What is planned for a sample: the set-point, the wind that follows, world axes [m/s], and the error of the
-roll and pitch of the truth that a controller without an estimator gets [rad]."""
+"""Plan for a sample: the set-point, the wind until the next sample in world axes [m/s], and the error that is
+added to the true roll and pitch if there is no estimator [rad]."""
 FLIGHT = np.dtype(
     [
         ("min_cos_tilt", "f8"),  # limits of flight: cosine of the largest tilt,
@@ -36,7 +36,7 @@ FLIGHT = np.dtype(
 
 @cache
 def loop_dtype(rotors: int) -> np.dtype:
-    """The record of one closed loop: everything about its vehicle, sensors and controller."""
+    """Return the type of the record of one closed loop, with its vehicle, sensors and controller."""
     return np.dtype(
         [
             ("vehicle", vehicle_dtype(rotors)),
@@ -55,7 +55,7 @@ NO_NOISE = np.empty((1, 0, 0, 3))  # of no IMU
 
 @njit(cache=True)
 def start_one(level, loop):
-    """Wind and control of one vehicle: the count of samples increases, and its rotors get their command."""
+    """Apply wind and control to one vehicle: advance its sample count and set its rotor commands."""
     state, command = loop.vehicle.state, loop.controller.rotor_vel_cmd
     for axis in range(3):
         state.wind[axis] = loop.flight.wind[axis]
@@ -67,7 +67,7 @@ def start_one(level, loop):
 
 @njit(cache=True)
 def look_up(loop, plan):
-    """Copy the plan's set-point and wind of a flight's sample k; the last ones hold from then on."""
+    """Copy set-point and wind for sample k from the plan; after its end, the last ones are used."""
     flight, now = loop.flight, plan[min(loop.measured.k, plan.shape[0] - 1)]
     flight.target = now.target
     loop.set_point = now.target
@@ -79,7 +79,7 @@ def look_up(loop, plan):
 
 @njit(cache=True)
 def judge(loop):
-    """Write whether a vehicle is down now, and why; `cause` keeps the first reason."""
+    """Record whether a vehicle is beyond its crash limits; `cause` keeps the first cause."""
     flight = loop.flight
     s, wanted = loop.vehicle.state, flight.target.position
     p, q, w = s.position, s.quat, s.ang_vel
@@ -101,9 +101,9 @@ def judge(loop):
 
 @njit(cache=True)
 def sense_one(loop, plan, noise, at, x, log):
-    """Truth, sample of the IMU, the plan's next sample and the judgement of crashes; arguments of `step`.
+    """Update the truth, sample the IMU, read the next sample of the plan and detect a crash.
 
-    x: memory (SENSORS, 3).
+    The arguments are those of `step`, for one vehicle; x is memory (SENSORS, 3).
     """
     p, s, m = loop.vehicle, loop.vehicle.state, loop.measured
     update_truth(p)
@@ -123,30 +123,30 @@ def sense_one(loop, plan, noise, at, x, log):
 
 @njit(cache=True)
 def start(level, loops):
-    """`start_one` for all, (n,) records."""
+    """Run `start_one` for all vehicles, (n,) records."""
     for i in range(loops.shape[0]):
         start_one(level, loops[i])
 
 
 @njit(cache=True)
 def step(level, loops, plans, samples, substeps, noise, at, logs, externals, errors, queues):
-    """Samples of all vehicles, but for the estimate.
+    """Advance all vehicles by some samples, without the estimate.
 
     Args:
         level: Number of the level of the command in the records.
         loops: (n,) records of `loop_dtype`.
         plans: (n, T) records of `PLAN`.
-        samples: How many; several only without an IMU and an external sensor.
-        substeps: Steps of integration in each; none where the vehicles have moved already.
+        samples: Number of samples; more than one is only possible without IMU and external sensor.
+        substeps: Integration steps per sample; 0 if the vehicles have already moved.
         noise: (n, NOISES, block, 3) standard normal numbers of the IMUs, or `NO_NOISE`.
-        at: Place of this sample in the block.
+        at: Index of this sample in the block.
         logs: (n, t) records of `quadsim.motion.rotors.state_dtype`, for the last t samples of the plans.
-        externals: (n,) records of `quadsim.external.SENSOR`; (0,) without.
+        externals: (n,) records of `quadsim.external.SENSOR`, or (0,) without external sensors.
         errors: (n, BLOCK, NUMBERS) standard normal numbers of the external sensors.
-        queues: (n, slots, NUMBERS) their waiting measurements.
+        queues: (n, slots, NUMBERS) measurements of the external sensors that have not arrived yet.
 
     Returns:
-        How many vehicles are down, and how many external sensors have spent their errors.
+        Number of crashed vehicles, and number of external sensors that need new random numbers.
     """
     crashed, spent, x = 0, 0, np.empty((SENSORS, 3))
     for i in range(loops.shape[0]):

@@ -1,4 +1,4 @@
-"""Least squares: the constants with which the model does what the readings say."""
+"""Least-squares fit of a vehicle's constants to readings."""
 
 from __future__ import annotations
 
@@ -21,55 +21,59 @@ Array = NDArray[np.float64]
 BIAS_SD = 0.2
 """Standard deviation of an accelerometer's bias before the fit [m/s²]."""
 SURE = 0.05
-"""A constant is identified if its 95 % interval is within this share of it."""
+"""A constant is identified if half of its 95 % interval is at most this share of its value."""
 DEGENERATE = 1e-9
-"""Smallest eigenvalue of the normalised information, over the largest, of what the flights tell at all."""
+"""Ratio of an eigenvalue of the normalised information matrix to the largest one, below which the data do not
+determine its direction."""
 ROUNDS = 3
-"""Of the fit: the size of the errors of each of the six signals is known after the first alone."""
+"""Rounds of the fit. Only after the first round is the size of the errors of each of the six signals
+known."""
 LEAST = 1e-3
-"""Smallest value of a constant that cannot be 0, as a share of the start."""
+"""Smallest value of a constant that cannot be 0, as a share of its initial value."""
 NO_FLIGHT = f"no {SHORTEST_S:g} s without a missing sample and with rotor speeds in rad/s"
 TYPICAL = {"motor.rotor_drag": 1e-4, "motor.rolling_moment": 1e-6, "frame.drag_area": 1e-2}
-"""Scale of a constant that is 0 at the start."""
+"""Scale of a constant whose initial value is 0."""
 
 
 @dataclass(frozen=True)
 class Identified:
-    """What flights say of a vehicle."""
+    """The result of an identification."""
 
     vehicle: Vehicle
-    """With the constants that are identified; the others are as at the start."""
+    """The vehicle with the identified constants; the other constants keep their initial values."""
     constants: pd.DataFrame
-    """By their path in the vehicle file: unit, start, fitted, half_width of the 95 % interval, and whether
-    they are identified well enough to be used."""
+    """For each constant, by its path in the vehicle file: unit, initial value, fitted value, half width of
+    the 95 % interval, and whether the constant is identified."""
     missing: tuple[str, ...]
-    """What could not be fitted, and why."""
+    """Constants that could not be fitted, and why."""
     measured: tuple[Array, ...]
-    """Specific force and angular acceleration of each flight below the band, (T, 6)."""
+    """Measured specific force and angular acceleration of each flight, low-passed, (T, 6)."""
     modelled: tuple[Array, ...]
-    """The same by the model with the fitted constants, (T, 6)."""
+    """The same quantities by the model with the fitted constants, (T, 6)."""
     rate_hz: float
 
     @property
     def explained(self) -> Array:
-        """Share of the variance of each of the six that the model explains, (6,)."""
+        """Share of the variance of each of the six signals that the model explains, (6,)."""
         measured, modelled = np.concatenate(self.measured), np.concatenate(self.modelled)
         return 1.0 - (measured - modelled).var(axis=0) / measured.var(axis=0)
 
 
 def identify(flights: Sequence[Flight], start: Vehicle) -> Identified:
-    """Fit thrust, drag and lag of the rotors, drag of the frame and inertia of a vehicle to its flights.
+    """Fit thrust, drag and lag of the rotors, drag of the frame, and inertia of a vehicle to flights.
 
-    Both sides of Newton's and Euler's equations are low-passed alike, at 12 Hz: the accelerometer and the
-    derivative of the gyroscope on one side, `quadsim.motion.rotors` on the other. Mass and geometry are the
-    start's: flights tell force per mass alone. Each flight has a bias of the accelerometer of its own.
+    Both sides of Newton's and Euler's equations are low-passed at 12 Hz: the accelerometer and the derivative
+    of the gyroscope on one side, `quadsim.motion.rotors` on the other. Mass and geometry are those of the
+    initial vehicle, because flights determine only force per mass. The accelerometer bias is fitted for each
+    flight.
 
     Args:
-        flights: With rotor speeds, or commands from which the start's lag gives them.
-        start: The vehicle to begin with.
+        flights: Flights with measured rotor speeds, or with commands from which the initial rotor lag gives
+            the speeds.
+        start: The initial vehicle.
 
     Raises:
-        ValueError: No flight is long enough, has rotor speeds, or has the vehicle's rotors.
+        ValueError: No flight is long enough and has the speeds of all rotors of the vehicle.
     """
     if not flights:
         raise ValueError(NO_FLIGHT)
@@ -111,7 +115,7 @@ def identify(flights: Sequence[Flight], start: Vehicle) -> Identified:
     fits = [_table(start, names, x[: len(names)] * scale, half * scale), *_lags(flights, start)]
     constants = pd.concat(fits).reindex([path for path in UNITS if any(path in fit.index for fit in fits)])
     missing += [
-        f"{path}: {_undetermined(row)}, so it stays {row['start']:.4g}"
+        f"{path}: {_undetermined(row)}, so the value stays {row['start']:.4g}"
         for path, row in constants.to_dict("index").items()
         if not row["identified"]
     ]
@@ -130,7 +134,7 @@ def _speeds(flight: Flight, start: Vehicle) -> Array:
 
 
 def _wanted(flights: Sequence[Flight]) -> tuple[list[str], list[str]]:
-    """Constants to fit, and why not the others."""
+    """Return the constants to fit, and why the others are not fitted."""
     names, missing = [name for name in UNITS if name not in LAGS], []
     if any(flight.air_vel is None for flight in flights):
         names = [name for name in names if name not in DRAG]
@@ -146,7 +150,7 @@ def _scale(start: Vehicle, name: str) -> float:
 
 
 def _measured(flight: Flight) -> Array:
-    """Specific force and angular acceleration below the band, (T, 6)."""
+    """Return specific force and angular acceleration, low-passed, (T, 6)."""
     ang_acc = np.gradient(flight.gyro, 1.0 / flight.rate_hz, axis=0)
     return below_band(np.concatenate([flight.accel, ang_acc], axis=1), flight.rate_hz)
 
@@ -164,15 +168,17 @@ def _undetermined(row: dict[Hashable, Any]) -> str:
 
 
 def _half_widths(jacobian: Array, residuals: Array, rows: int) -> Array:
-    """Half of the 95 % interval of each parameter; infinite if the data do not determine it.
+    """Return half of the 95 % interval of each parameter.
 
-    Errors of neighbouring samples may be correlated: the covariance is the sandwich of sums over blocks
-    (Liang & Zeger 1986).
+    Infinite if the data do not determine the parameter.
+
+    Errors of neighbouring samples may be correlated, so the covariance is the sandwich estimator with sums
+    over blocks (Liang & Zeger 1986).
 
     Args:
-        jacobian: Of the residuals, (N, parameters).
-        residuals: At the solution (N,).
-        rows: Of a block.
+        jacobian: Jacobian of the residuals, (N, parameters).
+        residuals: Residuals at the solution, (N,).
+        rows: Number of rows in a block.
     """
     length = np.linalg.norm(jacobian, axis=0)
     unit = jacobian / np.where(length > 0.0, length, 1.0)
@@ -188,7 +194,10 @@ def _half_widths(jacobian: Array, residuals: Array, rows: int) -> Array:
 
 
 def _lags(flights: Sequence[Flight], start: Vehicle) -> list[pd.DataFrame]:
-    """Time constants of the rotors, from commanded and actual speeds; none if no flight has both."""
+    """Return the time constants of the rotors from commanded and actual speeds.
+
+    There are none if no flight has both.
+    """
     both = [(f, f.rotor_vel) for f in flights if f.rotor_vel is not None and f.rotor_vel_cmd is not None]
     if not both:
         return []

@@ -1,4 +1,4 @@
-"""What identification found, as a vehicle file, as pictures and as the tables of `quadsim identify`."""
+"""The result of an identification as a vehicle file, a picture and tables."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from .fit import NO_FLIGHT, Identified, identify
 from .signals import flights_of
 
 SHOWN_S = 10.0
-"""Length of the part that is drawn [s]."""
+"""Duration of the part that is drawn [s]."""
 ROWS = ("force x", "force y", "force z", "ang. acc. x", "ang. acc. y", "ang. acc. z")
 
 
 def identify_files(files: Sequence[Path], vehicle: str, out: Path, rate_hz: float, mount: str | None) -> None:
-    """Fit a vehicle to files of flights, write it with a picture, and print it: `quadsim identify`.
+    """Fit a vehicle to files of flights, write the vehicle and a picture, and print the result.
 
     Raises:
-        ValueError: `out` is no vehicle file, no flight has rotor speeds, or they do not fit the vehicle.
+        ValueError: `out` is not a vehicle file, or no flight has the speeds of all rotors of the vehicle.
     """
     start = load_vehicle(vehicle)
     if out.suffix != ".toml":
@@ -58,13 +58,13 @@ def identify_files(files: Sequence[Path], vehicle: str, out: Path, rate_hz: floa
 
 
 def write_vehicle(found: Identified, out: str | Path, logs: Sequence[str]) -> Vehicle:
-    """Write a vehicle file with the constants that were identified, and what is not from these flights.
+    """Write a vehicle file with the identified constants and the initial values of the others.
 
     Returns:
-        The vehicle as it was written.
+        The vehicle in the file.
 
     Raises:
-        ValueError: The constants are of no vehicle that can fly.
+        ValueError: A vehicle with these constants cannot fly.
     """
     lines = [f"By `quadsim identify` from {', '.join(logs)}. Mass, hubs and outline are those it began with."]
     lines += [
@@ -80,7 +80,7 @@ def write_vehicle(found: Identified, out: str | Path, logs: Sequence[str]) -> Ve
 
 
 def draw_fit(found: Identified) -> Figure:
-    """Measured and modelled force and angular acceleration, the busiest seconds of the first flight."""
+    """Draw measured and modelled force and angular acceleration in an agile part of the first flight."""
     measured, modelled = found.measured[0], found.modelled[0]
     steps = min(round(SHOWN_S * found.rate_hz), len(measured))
     first = int(np.convolve((measured[:, 3:] ** 2).sum(axis=1), np.ones(steps), "valid").argmax())

@@ -1,4 +1,4 @@
-"""A vehicle's constants as a vector, and what the vehicle should have done with them."""
+"""A vehicle's constants as a vector, and the motion that the model predicts from them."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ UNITS = {
     "frame.drag_area.1": "m²",
     "frame.drag_area.2": "m²",
 }
-"""Constants that can be fitted, by their path in a vehicle file."""
+"""Constants that can be fitted, by their path in a vehicle file, and their units."""
 DRAG = ("motor.rotor_drag", "motor.rolling_moment", *(f"frame.drag_area.{k}" for k in range(3)))
-"""Those that need the velocity against the air."""
+"""Constants whose fit needs the velocity relative to the air."""
 LAGS = ("motor.tau_up", "motor.tau_down")
-"""Those that need commanded and actual rotor speeds."""
+"""Constants whose fit needs commanded and actual rotor speeds."""
 
 
 def constant(vehicle: Vehicle, path: str) -> float:
-    """A constant by its path."""
+    """Return a constant by its path."""
     name, _, index = path.rpartition(".")
     return float(attrgetter(name)(vehicle)[int(index)] if index.isdigit() else attrgetter(path)(vehicle))
 
 
 def with_constants(vehicle: Vehicle, values: Mapping[str, float]) -> Vehicle:
-    """The vehicle with other constants, not validated."""
+    """Return the vehicle with other constants, without validation."""
     every = {path: values.get(path, constant(vehicle, path)) for path in UNITS}
     motor = {path.split(".")[1]: value for path, value in every.items() if path.startswith("motor.")}
     inertia, drag_area = (
@@ -58,12 +58,13 @@ def with_constants(vehicle: Vehicle, values: Mapping[str, float]) -> Vehicle:
 
 
 def predicted(vehicle: Vehicle, flight: Flight, rotor_vel: Array) -> Array:
-    """Specific force [m/s²] and angular acceleration [rad/s²] by the model, (T, 6).
+    """Predict specific force [m/s²] and angular acceleration [rad/s²] with the model, (T, 6).
 
     Args:
-        vehicle: Its constants.
-        flight: Body rate and velocity against the air; still air and a vehicle in one place where not known.
-        rotor_vel: (T, rotors) [rad/s].
+        vehicle: The vehicle.
+        flight: The flight, whose body rate and velocity relative to the air are used. An unknown velocity
+            counts as 0.
+        rotor_vel: Rotor speeds (T, rotors) [rad/s].
     """
     air_vel = np.zeros_like(flight.gyro) if flight.air_vel is None else flight.air_vel
     record = vehicle_records([vehicle], 1.0 / flight.rate_hz)[0]
@@ -73,7 +74,7 @@ def predicted(vehicle: Vehicle, flight: Flight, rotor_vel: Array) -> Array:
 
 
 def lagged(vehicle: Vehicle, flight: Flight, start: Sequence[float] | Array) -> Array:
-    """Rotor speeds that follow the commands from a start, (T, rotors) [rad/s]."""
+    """Return rotor speeds that follow the commands with first-order lags, (T, rotors) [rad/s]."""
     assert flight.rotor_vel_cmd is not None
     out = np.empty_like(flight.rotor_vel_cmd)
     motor = vehicle.motor

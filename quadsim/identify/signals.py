@@ -1,4 +1,4 @@
-"""What identification needs of a flight, from a dataset or a log."""
+"""The signals of a flight that identification needs, from a dataset or a log."""
 
 from __future__ import annotations
 
@@ -15,44 +15,44 @@ from ..rotation import quat_rotate_inverse
 Array = NDArray[np.float64]
 
 BAND_HZ = 12.0
-"""Above it vibration and noise outweigh what the vehicle does."""
+"""Upper end of the frequency band that is used: above it, vibration and noise dominate."""
 SETTLE_S = 0.5
-"""Left out at each end of a flight, where the low-pass has not settled."""
+"""Time that is left out at each end of a flight, where the low-pass has not settled."""
 SHORTEST_S = 5.0
-"""Fewest seconds without a missing sample that are used."""
+"""Shortest part without a missing sample that is used [s]."""
 
 
 class Flight(NamedTuple):
-    """Signals of one flight over T samples; None where they are not known."""
+    """Signals of one flight over T samples; an unknown signal is None."""
 
     rate_hz: float
     gyro: Array
-    """(T, 3) [rad/s]."""
+    """Body rate (T, 3) [rad/s]."""
     accel: Array
     """Specific force (T, 3) [m/s²]."""
     rotor_vel: Array | None = None
-    """(T, rotors) [rad/s]."""
+    """Rotor speeds (T, rotors) [rad/s]."""
     rotor_vel_cmd: Array | None = None
-    """Commanded up to each sample, from the one before (T, rotors) [rad/s]."""
+    """Rotor commands between the previous sample and each sample (T, rotors) [rad/s]."""
     air_vel: Array | None = None
-    """Velocity against the air, body axes (T, 3) [m/s]."""
+    """Velocity relative to the air, body axes (T, 3) [m/s]."""
 
     @property
     def has_rotors(self) -> bool:
-        """Whether rotor speeds are known, measured or commanded."""
+        """Whether measured or commanded rotor speeds are known."""
         return self.rotor_vel is not None or self.rotor_vel_cmd is not None
 
     def part(self, start: int, end: int) -> Flight:
-        """The samples from `start` until before `end`."""
+        """Return the samples from `start` up to but not including `end`."""
         return Flight(self.rate_hz, *(None if each is None else each[start:end] for each in self[1:]))  # pyright: ignore
 
 
 def flights_of(data: xr.Dataset) -> list[Flight]:
-    """Signals of each flight of a dataset or of a log, as `read_log` returns it.
+    """Return the signals of each flight of a dataset or of a log from `read_log`.
 
-    Of each, the longest part in which no sample is missing. Velocity is that of the data, else the derivative
-    of the position, less the wind where the data know it; it needs an attitude. Signals that the data hold as
-    zeros or NaN alone are not known.
+    Only the longest part of a flight without a missing sample is used. The velocity is that of the data or,
+    if there is none, the derivative of the position. A known wind is subtracted. The conversion to body axes
+    needs an attitude. Signals that contain only zeros or NaN count as unknown.
     """
     found, rate_hz = [], float(data.attrs["rate_hz"])
     for k in range(data.sizes["flight"]):
@@ -69,7 +69,7 @@ def flights_of(data: xr.Dataset) -> list[Flight]:
 
 
 def below_band(signal: Array, rate_hz: float) -> Array:
-    """A signal (T, ·) without what is above the band, without delay, and without the ends."""
+    """Low-pass a signal (T, ·) without delay, and drop its ends."""
     cut = round(SETTLE_S * rate_hz)
     return _low_passed(signal, rate_hz)[cut : len(signal) - cut]
 

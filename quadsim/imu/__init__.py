@@ -1,4 +1,4 @@
-"""The IMU: the true motion of a body goes in, noisy and biased readings come out."""
+"""The IMU: noisy and biased readings from the true motion of a body."""
 
 from .spec import ImuSpec, load_imu
 from .stream import ImuStream, simulate_imu

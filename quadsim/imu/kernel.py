@@ -1,4 +1,4 @@
-"""The arithmetic of the IMU: a record of coefficients and state per vehicle, one function for each error."""
+"""Compiled equations of the IMU: one record of coefficients and state per vehicle, one function per error."""
 
 import math
 from functools import cache
@@ -17,9 +17,10 @@ Array = NDArray[np.float64]
 
 GYRO, ACCEL = range(2)
 SENSORS = 2
-"""How many sensors there are, in the order of `ImuSpec.sensors`."""
+"""Number of sensors; their order is that of `ImuSpec.sensors`."""
 WHITE, WALK, DROP, NOISES = (0, 1), (2, 3), 4, 5
-"""Streams of random numbers: noise and walk of each sensor, dropped samples; and their number."""
+"""Streams of random numbers, for noise and bias walk of each sensor and for dropped samples, and their
+number."""
 
 IMU = np.dtype(
     [
@@ -60,7 +61,10 @@ IMU = np.dtype(
 
 @cache
 def motion_dtype(rotors: int) -> np.dtype:
-    """What an IMU feels at one instant; records with more fields, such as a vehicle's state, serve too."""
+    """Return the record type of the motion that an IMU measures.
+
+    Records with more fields are also accepted.
+    """
     return np.dtype(
         [
             ("ang_vel", "f8", 3),  # body rate, body axes [rad/s]
@@ -72,17 +76,17 @@ def motion_dtype(rotors: int) -> np.dtype:
 
 
 def white_noise_sd(density: float, dt: float) -> float:
-    """Standard deviation of a sample of white noise, N/√dt, with N in unit/√Hz and dt in s."""
+    """Return the standard deviation of a sample of white noise, N/√dt, with N in unit/√Hz and dt in s."""
     return density / math.sqrt(dt)
 
 
 @cache
 def low_pass_coefficients(corner: float, dt: float) -> tuple[Array, Array, Array]:
-    """Exact step of a Butterworth filter of second order whose input is a straight line between samples.
+    """Compute the exact step of a second-order Butterworth filter whose input is linear between samples.
 
     The state is z = (y, ẏ/ω_c), and a step from input u₀ to u₁ is
     z ← transition z + from_last u₀ + from_new u₁ (triangle hold: Franklin, Powell, Workman 1998, 6.3.2).
-    Its delay at low frequency is √2/ω_c, at any sample rate.
+    The delay of the filter at low frequency is √2/ω_c, at any sample rate.
 
     Args:
         corner: Angular frequency of the −3 dB point ω_c [rad/s].
@@ -96,7 +100,7 @@ def low_pass_coefficients(corner: float, dt: float) -> tuple[Array, Array, Array
 
 
 def constants(spec: ImuSpec, dt: float) -> NDArray[np.void]:
-    """Record of an IMU with what is the same for all flights, shape (1,)."""
+    """Return a record of an IMU with the coefficients that do not vary between flights, shape (1,)."""
     records = np.zeros(1, IMU)
     p = records[0]
     p["dt"] = dt
@@ -118,7 +122,10 @@ def constants(spec: ImuSpec, dt: float) -> NDArray[np.void]:
 
 
 def draw_flight(p: np.void, spec: ImuSpec, random: np.random.Generator) -> None:
-    """Draw what is constant in a flight into its record. New draws go last: the order fixes the numbers."""
+    """Draw the constant errors of a flight into its record.
+
+    New draws must come last, because the order of the draws determines the numbers.
+    """
     turn_on, walk, scale = random.standard_normal((3, 2, 3))
     misalignment, g_sensitivity = random.standard_normal((2, 3, 3)), random.standard_normal((3, 3))
     sensor_from_body = matrix_from_quat(quat_from_euler(*np.radians(spec.mounting_deg))).T
@@ -134,21 +141,21 @@ def draw_flight(p: np.void, spec: ImuSpec, random: np.random.Generator) -> None:
 
 
 def noise_streams(spec: ImuSpec) -> list[int]:
-    """Streams of random numbers that an IMU uses."""
+    """Return the streams of random numbers that an IMU uses."""
     sizes = (spec.gyro.noise, spec.accel.noise, spec.gyro.random_walk, spec.accel.random_walk, spec.dropped)
     return [index for index, size in enumerate(sizes) if size > 0.0]
 
 
 @njit(cache=True)
 def _feel(s, x):
-    """What each sensor would read without any error, in body axes at the centre of mass."""
+    """Return the readings without errors, in body axes at the centre of mass."""
     for axis in range(3):
         x[GYRO, axis], x[ACCEL, axis] = s.ang_vel[axis], s.specific_force[axis]
 
 
 @njit(cache=True)
 def _move_to_lever_arm(p, x, ang_acc):
-    """Specific force at r from that at the centre of mass: f + α × r + ω × (ω × r), all in body axes."""
+    """Return the specific force at position r, f + α × r + ω × (ω × r), in body axes."""
     wx, wy, wz = x[GYRO, 0], x[GYRO, 1], x[GYRO, 2]
     rx, ry, rz = p.lever_arm[0], p.lever_arm[1], p.lever_arm[2]
     vx, vy, vz = wy * rz - wz * ry, wz * rx - wx * rz, wx * ry - wy * rx
@@ -160,7 +167,7 @@ def _move_to_lever_arm(p, x, ang_acc):
 
 @njit(cache=True)
 def _low_pass(p, x):
-    """Replace x by the filters' output; at the first sample a filter has settled on its input."""
+    """Replace x by the output of the low-pass filters, which start in steady state."""
     for sensor in range(SENSORS):
         if not p.low_pass_on[sensor]:
             continue
@@ -179,7 +186,7 @@ def _low_pass(p, x):
 
 @njit(cache=True)
 def _vibrate(p, x, rotor_vel):
-    """Add the vibration of each rotor's imbalance, amplitude ∝ ω², behind the low-pass, at this instant."""
+    """Add the vibration of each rotor's imbalance, with an amplitude ∝ ω², after the low-pass."""
     for rotor in range(rotor_vel.shape[0]):
         speed = rotor_vel[rotor]
         phase = p.phase[rotor] + speed * p.dt
@@ -194,7 +201,7 @@ def _vibrate(p, x, rotor_vel):
 
 @njit(cache=True)
 def _turn_to_sensor_axes(p, x):
-    """Apply mounting, scale factor and misalignment, and the gyroscope's sensitivity to force."""
+    """Apply mounting, scale factor, misalignment, and the gyroscope's sensitivity to specific force."""
     fx, fy, fz = x[ACCEL, 0], x[ACCEL, 1], x[ACCEL, 2]
     for sensor in range(SENSORS):
         a, b, c = x[sensor, 0], x[sensor, 1], x[sensor, 2]
@@ -208,7 +215,7 @@ def _turn_to_sensor_axes(p, x):
 
 @njit(cache=True)
 def _add_bias_and_noise(p, x, noise):
-    """Add turn-on bias, bias random walk and white noise; the walk moves on."""
+    """Add turn-on bias, bias random walk and white noise, and advance the random walk."""
     for sensor in range(SENSORS):
         for axis in range(3):
             walk = p.walk[sensor, axis]
@@ -219,9 +226,9 @@ def _add_bias_and_noise(p, x, noise):
 
 @njit(cache=True)
 def _read_out(p, x, noise):
-    """Write the reading: the nearest multiple of the resolution (0: as it is) within ± limit; NaN stays NaN.
+    """Write the reading, rounded to the resolution (0: not rounded) and clipped to ± limit; NaN remains NaN.
 
-    A dropped sample repeats the one before.
+    A dropped sample repeats the previous reading.
     """
     if p.started and noise[DROP, 0] < p.drop_below:
         return
@@ -240,11 +247,11 @@ def _read_out(p, x, noise):
 
 @njit(cache=True)
 def measure(p, noise, s, x):
-    """Take one sample of one IMU, to `reading` and `bias` of its record: every error in turn.
+    """Take one sample of one IMU; write `reading` and `bias` of its record.
 
     Args:
-        p: Record of dtype IMU; its state moves on.
-        noise: Standard normal numbers of this sample, shape (NOISES, 3).
+        p: Record of dtype IMU; its state is updated.
+        noise: Standard normal numbers for this sample, shape (NOISES, 3).
         s: True motion, a record with the fields of `motion_dtype`.
         x: (SENSORS, 3) memory.
     """
@@ -262,16 +269,16 @@ def measure(p, noise, s, x):
 
 @njit(cache=True)
 def measure_series(imus, noise, place, samples, motion, out, bias):
-    """Samples of n IMUs.
+    """Take samples of n IMUs.
 
     Args:
-        imus: Records of dtype IMU, shape (n,); their state moves on.
+        imus: Records of dtype IMU, shape (n,); their state is updated.
         noise: Standard normal numbers, shape (n, NOISES, block, 3).
-        place: Place in the block of the first sample.
-        samples: First sample, and the one after the last.
+        place: Index of the first sample in the block.
+        samples: Range of samples: the first, and the one after the last.
         motion: (n, T) records with the fields of `motion_dtype`.
         out: Readings of the sensors, shape (SENSORS, n, T, 3).
-        bias: Their true biases, same shape.
+        bias: True biases of the sensors, same shape.
     """
     x = np.empty((SENSORS, 3))
     first, end = samples

@@ -16,7 +16,10 @@ RatePart: TypeAlias = Annotated[float, Between(-70.0, 70.0, "rad/s")]
 
 
 class Sensor(Strict):
-    """Errors of one three-axis sensor in its own unit (rad/s or m/s²); every default means none."""
+    """Errors of one three-axis sensor, in the unit of the sensor (rad/s or m/s²).
+
+    By default, there are no errors.
+    """
 
     noise: Noise = 0.0
     """White noise density N [unit/√Hz]."""
@@ -29,9 +32,9 @@ class Sensor(Strict):
     scale_factor: Spread = 0.0
     """Standard deviation of the relative scale error of each axis."""
     misalignment: Spread = 0.0
-    """Standard deviation of the part of another axis that an axis sees [rad]."""
+    """Standard deviation of the misalignment between each two axes [rad]."""
     low_pass_hz: Annotated[float, Between(0.0, 1e5, "Hz")] = 0.0
-    """Corner (−3 dB) of the Butterworth low-pass of second order [Hz]; 0 for none."""
+    """Corner frequency (−3 dB) of the second-order Butterworth low-pass [Hz]; 0 for none."""
     resolution: Annotated[float, Between(0.0, 50.0)] = 0.0
     """Step of the digital output [unit]; 0 for none."""
     saturation: Annotated[float, Between(1e-3, 1e5)] | None = None
@@ -52,32 +55,32 @@ class Sensor(Strict):
 
     @property
     def limit(self) -> float:
-        """Largest reading: the largest multiple of the resolution within the range [unit]."""
+        """Largest reading, a multiple of the resolution [unit]."""
         if self.saturation is None or self.resolution == 0.0:
             return self.saturation or math.inf
         return self.resolution * math.floor(self.saturation / self.resolution * (1.0 + 1e-12))
 
 
 class RotorVibration(Strict):
-    """Vibration from the imbalance of each rotor, a property of the airframe rather than of the sensor."""
+    """Vibration caused by imbalance of the rotors. It is a property of the airframe, not of the sensor."""
 
     rotor_vel: RotorSpeed
-    """Rotor speed for which the amplitudes are given [rad/s]; they are proportional to its square."""
+    """Rotor speed for which the amplitudes are given [rad/s]. Amplitudes are proportional to its square."""
     gyro: tuple[RatePart, RatePart, RatePart] = (0.0, 0.0, 0.0)
-    """Amplitude of each rotor [rad/s]."""
+    """Amplitude per rotor at the gyroscope [rad/s]."""
     accel: ForceVector = (0.0, 0.0, 0.0)
-    """Amplitude of each rotor [m/s²]."""
+    """Amplitude per rotor at the accelerometer [m/s²]."""
 
 
 READINGS = {
     "gyro": ("rad/s", "gyroscope", "body rate"),
     "accel": ("m/s^2", "accelerometer", "specific force"),
 }
-"""Of the reading of each of `ImuSpec.sensors`: unit, sensor, and what it measures."""
+"""Unit, sensor and measured quantity for each of `ImuSpec.sensors`."""
 
 
 class ImuSpec(Strict):
-    """An IMU; every default means an ideal one at the centre of mass."""
+    """An IMU. The defaults describe an ideal IMU at the centre of mass."""
 
     gyro: Sensor = Sensor()
     """Gyroscope [rad/s]."""
@@ -86,28 +89,29 @@ class ImuSpec(Strict):
     lever_arm: Arm = (0.0, 0.0, 0.0)
     """Position of the sensor relative to the centre of mass, in body axes [m]."""
     mounting_deg: Rotation = (0.0, 0.0, 0.0)
-    """Roll, pitch and yaw of the sensor with respect to the body [deg]; readings are in sensor axes."""
+    """Roll, pitch and yaw of the sensor with respect to the body [deg]. Readings are in sensor axes."""
     g_sensitivity: Annotated[float, Between(0.0, 1.0, "rad/s per m/s²")] = 0.0
-    """Standard deviation of each element of the gyro's sensitivity to specific force [rad/s per m/s²]."""
+    """Standard deviation of each element of the gyroscope's sensitivity to specific force [rad/s per
+    m/s²]."""
     vibration: RotorVibration | None = None
     """Vibration caused by the rotors; default: none."""
     dropped: Annotated[float, Between(0.0, 0.99)] = 0.0
-    """Share of samples that are lost; a lost sample repeats the previous reading."""
+    """Share of samples that are lost. A lost sample repeats the previous reading."""
 
     @property
     def sensors(self) -> dict[str, Sensor]:
-        """Its sensors, by the names of their readings."""
+        """The sensors, by the names of their readings."""
         return {"gyro": self.gyro, "accel": self.accel}
 
 
 RANDOM = "noise", "random_walk", "turn_on", "scale_factor", "misalignment", "low_pass_hz"
-"""Numbers of a sensor that `randomise_imu` draws."""
+"""Fields of a sensor that `randomise_imu` randomises."""
 
 
 def randomise_imu(imu: ImuSpec, spread: float, rng: np.random.Generator) -> ImuSpec:
-    """The IMU with each of its errors times a factor of its own, 1 + U(−spread, spread).
+    """Multiply each error of an IMU by its own random factor, 1 + U(−spread, spread).
 
-    These are the numbers of `RANDOM` of each sensor, the sensitivity to specific force, and the vibration.
+    The errors are the fields `RANDOM` of each sensor, the sensitivity to specific force, and the vibration.
     """
 
     def factor() -> float:
@@ -128,6 +132,6 @@ def load_imu(source: str | Path) -> ImuSpec:
     """Load a preset ("adis16448", "px4-mini", …) or a TOML file.
 
     Raises:
-        ValueError: One line that says what is wrong and what is allowed.
+        ValueError: The file is invalid; the message names the key, its value and the allowed values.
     """
     return load_toml(source, "imus", ImuSpec)

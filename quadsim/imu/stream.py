@@ -1,16 +1,16 @@
-"""The IMU: what its gyroscope and accelerometer read when the vehicle moves in a given way.
+"""The IMU: readings of gyroscope and accelerometer for a given motion of the vehicle.
 
-From the truth at the centre of mass, in body axes, to the reading; every part can be switched off:
+The model starts from the true motion of the centre of mass, in body axes. Each part is optional:
 
-1. lever arm: the specific force where the sensor sits, f + α × r + ω × (ω × r);
+1. lever arm: the specific force at the position of the sensor, f + α × r + ω × (ω × r);
 2. low-pass: a continuous Butterworth filter with its delay, at any sample rate;
 3. vibration at the frequency of the rotors, attenuated by that filter and aliased by the sampling;
 4. mounting, scale factor and misalignment, and the sensitivity of the gyroscope to force;
 5. turn-on bias, bias random walk and white noise (RotorS): b ← e^{−dt/τ} b + σ_b √(τ/2 (1 − e^{−2dt/τ})) n,
    y = true + b + (N/√dt) n + b_on, where b starts at its stationary standard deviation σ_b √(τ/2);
-6. resolution, saturation, and dropped samples, which repeat the one before.
+6. resolution, saturation, and dropped samples, which repeat the previous reading.
 
-Whole arrays and single samples go through the same compiled pass and give the same numbers.
+Whole arrays and single samples use the same compiled functions and give the same numbers.
 """
 
 from collections.abc import Sequence
@@ -38,25 +38,24 @@ from .spec import ImuSpec
 
 Array = NDArray[np.float64]
 Imus: TypeAlias = ImuSpec | Sequence[ImuSpec]
-"""One IMU for all vehicles, or one for each."""
+"""One IMU for all vehicles, or one per vehicle."""
 
 BLOCK = 128
-"""Samples for which noise is drawn at once."""
+"""Number of samples for which noise is drawn at once."""
 
 
 class ImuStream:
-    """The IMUs of n vehicles, one sample at a time: the same numbers as `simulate_imu`.
+    """The IMUs of n vehicles, one sample at a time. The numbers equal those of `simulate_imu`.
 
-    The random numbers of vehicle i follow from its seed alone: they do not change with n, nor with the parts
-    of the error that are switched on. `readings` and their true `biases` (turn-on and random walk) are views
-    of the last sample, an array (n, 3) for each of `ImuSpec.sensors`; `records` (n,) and `noise` are what
-    `quadsim.imu.kernel.measure` takes.
+    The random numbers of vehicle i depend only on its seed, not on n or on which errors are present.
+    `readings` and the true `biases` (turn-on and random walk) are views of the last sample, an array (n, 3)
+    for each of `ImuSpec.sensors`. `records` (n,) and `noise` are arguments of `quadsim.imu.kernel.measure`.
     """
 
     def __init__(
         self, spec: Imus, n: int, rate_hz: float, seed: Seed, records: NDArray[np.void] | None = None
     ) -> None:
-        """Switch on, with biases and scale factors drawn for this flight.
+        """Switch the IMUs on, with biases and scale factors drawn for this flight.
 
         Args:
             spec: The IMU, or one per vehicle.
@@ -91,13 +90,16 @@ class ImuStream:
             self._switch_on(vehicle)
 
     def reset(self, ids: Sequence[int] | NDArray[np.int64] | None = None) -> None:
-        """Switch some vehicles' IMUs, or all, off and on: new biases and noise, from the next child seed."""
+        """Switch the IMUs of some or all vehicles off and on.
+
+        Draw new biases and noise from the next child seed.
+        """
         for vehicle in range(len(self.records)) if ids is None else ids:
             self._flight[vehicle] += 1
             self._switch_on(int(vehicle))
 
     def exchange(self, ids: NDArray[np.int64], specs: Sequence[ImuSpec]) -> None:
-        """Give some vehicles other IMUs, (m,); `reset` then switches them on."""
+        """Replace the IMUs of some vehicles, (m,); `reset` switches the new IMUs on."""
         for vehicle, spec in zip(ids, specs, strict=True):
             self.specs[vehicle], self._noises[vehicle] = spec, noise_streams(spec)
             self.records[vehicle : vehicle + 1] = constants(spec, 1.0 / self.rate_hz)
@@ -109,16 +111,16 @@ class ImuStream:
         ang_acc: ArrayLike | None = None,
         rotor_vel: ArrayLike | None = None,
     ) -> tuple[Array, Array]:
-        """Next reading of all vehicles.
+        """Return the next readings of all vehicles.
 
         Args:
             ang_vel: Body rate, body axes, shape (n, 3) [rad/s].
-            specific_force: At the centre of mass, body axes, shape (n, 3) [m/s²].
-            ang_acc: Angular acceleration, body axes, shape (n, 3) [rad/s²]; needed for a lever arm.
+            specific_force: Specific force at the centre of mass, body axes, shape (n, 3) [m/s²].
+            ang_acc: Angular acceleration, body axes, shape (n, 3) [rad/s²]; required for a lever arm.
             rotor_vel: Rotor speeds, shape (n, rotors) [rad/s]; needed for vibration.
 
         Returns:
-            gyro [rad/s] and accel [m/s²], each (n, 3), in sensor axes.
+            Readings of gyroscope [rad/s] and accelerometer [m/s²] in sensor axes, (n, 3) each.
         """
         given = (ang_vel, specific_force, ang_acc, rotor_vel)
         series = (None if each is None else np.asarray(each)[..., None, :] for each in given)
@@ -128,9 +130,9 @@ class ImuStream:
         return out[GYRO, :, 0], out[ACCEL, :, 0]
 
     def next_samples(self, count: int = 1) -> int:
-        """The place in `noise` of the next samples, all within one block: they count as taken.
+        """Reserve the next samples, all within one block, and return their index in `noise`.
 
-        For loops that call `quadsim.imu.kernel.measure` themselves.
+        This is for loops that call `quadsim.imu.kernel.measure` themselves.
         """
         if self._at == BLOCK:
             self._at = 0
@@ -140,7 +142,7 @@ class ImuStream:
         return self._at - count
 
     def _switch_on(self, vehicle: int) -> None:
-        """Draw what stays for a flight, and restart the noise from here."""
+        """Draw the constant errors of a flight, and restart the noise."""
         seed, flight = self._seeds[vehicle], int(self._flight[vehicle])
         random = np.random.default_rng(child(seed, flight, 0))
         draw_flight(self.records[vehicle], self.specs[vehicle], random)
@@ -150,13 +152,13 @@ class ImuStream:
         self._fill(vehicle, self._at)
 
     def _fill(self, vehicle: int, begin: int) -> None:
-        """Draw a vehicle's noise for the rest of the block."""
+        """Draw the noise of a vehicle for the rest of the block."""
         for each, random in zip(self._noises[vehicle], self._random[vehicle], strict=True):
             random.standard_normal(out=self.noise[vehicle, each, begin:])
 
 
 def simulate_readings(spec: Imus, motion: NDArray[np.void], rate_hz: float, seed: Seed) -> dict[str, Array]:
-    """Readings and true biases of whole flights.
+    """Simulate readings and true biases of whole flights.
 
     Args:
         spec: The IMU, or one per flight.
@@ -165,8 +167,8 @@ def simulate_readings(spec: Imus, motion: NDArray[np.void], rate_hz: float, seed
         seed: Whole number, seed sequence, or one seed sequence per vehicle.
 
     Returns:
-        For each of `ImuSpec.sensors`, "gyro" say, its readings and as "gyro_bias" their bias (turn-on and
-        random walk), each (n, T, 3), in sensor axes.
+        For each of `ImuSpec.sensors`, such as "gyro", the readings, and under "gyro_bias" the true bias
+        (turn-on and random walk), (n, T, 3) each, in sensor axes.
     """
     n, steps = motion.shape
     stream = ImuStream(spec, n, rate_hz, seed)
@@ -189,22 +191,22 @@ def simulate_imu(
     ang_acc: ArrayLike | None = None,
     rotor_vel: ArrayLike | None = None,
 ) -> tuple[Array, Array]:
-    """Readings of the IMUs of n vehicles over whole flights.
+    """Simulate readings of the IMUs of n vehicles over whole flights.
 
     Args:
         spec: The IMU, or one per vehicle.
         ang_vel: Body rate, body axes, shape (n, T, 3) [rad/s].
-        specific_force: At the centre of mass, body axes, shape (n, T, 3) [m/s²].
+        specific_force: Specific force at the centre of mass, body axes, shape (n, T, 3) [m/s²].
         rate_hz: Samples per second.
         seed: Whole number, seed sequence, or one seed sequence per vehicle.
         ang_acc: Angular acceleration, body axes, shape (n, T, 3) [rad/s²]; needed for a lever arm.
         rotor_vel: Rotor speeds, shape (n, T, rotors) [rad/s]; needed for vibration.
 
     Returns:
-        gyro [rad/s] and accel [m/s²], each (n, T, 3), in sensor axes.
+        Readings of gyroscope [rad/s] and accelerometer [m/s²] in sensor axes, (n, T, 3) each.
 
     Raises:
-        ValueError: An array is missing, has the wrong shape or holds a number that is not finite.
+        ValueError: An array is missing, has the wrong shape or contains a number that is not finite.
     """
     motion = motion_of(spec, ang_vel, specific_force, ang_acc, rotor_vel)
     found = simulate_readings(spec, motion, rate_hz, seed)
@@ -218,7 +220,7 @@ def motion_of(
     ang_acc: ArrayLike | None = None,
     rotor_vel: ArrayLike | None = None,
 ) -> NDArray[np.void]:
-    """Records (n, T) for `simulate_readings`; arguments and errors are those of `simulate_imu`."""
+    """Return records (n, T) for `simulate_readings`; arguments and errors are those of `simulate_imu`."""
     shape = np.shape(ang_vel)[:2]
     motion = _motion(
         _one_each(spec, shape[0] if shape else 0), shape, ang_vel, specific_force, ang_acc, rotor_vel
@@ -238,7 +240,7 @@ def _one_each(spec: Imus, n: int) -> list[ImuSpec]:
 
 
 def _motion(specs: Sequence[ImuSpec], shape: tuple[int, ...], *given: ArrayLike | None) -> NDArray[np.void]:
-    """Records (n, T) of what an IMU uses of a motion; the rest of them is zero."""
+    """Return records (n, T) of the motion; fields that the IMU does not use are zero."""
     arrays = [None if each is None else np.asarray(each, np.float64) for each in given]
     displaced = any(any(spec.lever_arm) for spec in specs)
     used = (True, True, displaced, any(spec.vibration is not None for spec in specs))

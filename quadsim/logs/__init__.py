@@ -40,7 +40,7 @@ BY_SUFFIX = {
     ".bin": read_dataflash,
     ".toml": read_table,
 }
-"""Readers of formats that offer no choice of topics."""
+"""Readers of formats without topics."""
 
 
 def read_log(
@@ -57,33 +57,37 @@ def read_log(
         path: The log.
         rate_hz: Samples per second of the result.
         mount: Rotation from IMU to body axes, for an IMU that is mounted in another way: see `mount_matrix`.
-        truth: Topic or folder to take for the true attitude; None for the best that is there.
+        truth: Topic or folder of the true attitude; None for the most accurate one in the log.
         imu: Topic of the IMU in a ROS bag or MCAP; None for the one with the most messages.
 
     Returns:
-        One flight with gyro [rad/s] and accel [m/s²] in FLU body axes, NaN in the log's gaps; quat (body to
-        world, z up), NaN where it is not known; `scored`, where the log wants to be scored; and the
+        One flight with gyro [rad/s] and accel [m/s²] in FLU body axes, NaN in gaps of the log; quat (body to
+        world, z up), NaN where the attitude is not known; `scored`, which marks the samples to score; and the
         `LogReport` as attribute `log`.
 
     Raises:
         FileNotFoundError: There is nothing at the path.
-        ValueError: One line: an unknown format, a damaged log, or a choice that the log does not offer.
+        ValueError: The format is unknown, the log is damaged, or the log lacks the chosen topic.
     """
     return resample(read_recording(path, mount=mount, truth=truth, imu=imu), rate_hz)[0]
 
 
 def read_parts(log: Recording, rate_hz: float = 200.0) -> list[xr.Dataset]:
-    """As `read_log`, every part of a recording that long gaps cut; parts too short are left out."""
+    """Read every part of a recording that is divided by long gaps, as `read_log` does.
+
+    Short parts are dropped.
+    """
     parts = split(log)
     names = [log.name if len(parts) == 1 else f"{log.name}, part {k + 1}" for k in range(len(parts))]
     return [resample(replace(part, name=name), rate_hz)[0] for part, name in zip(parts, names, strict=True)]
 
 
 def refused(reports: Iterable[LogReport], force: bool = False) -> list[str]:
-    """What cannot be right in logs or parts of them, a sentence each.
+    """Return the faults of logs for which scores would be meaningless, one sentence each.
 
     Raises:
-        ValueError: The first of them, and how many more there are, unless they are used all the same (force).
+        ValueError: There is a fault and `force` is not set; the message gives the first fault and the number
+            of others.
     """
     faults = list(
         dict.fromkeys(f"{report.log.path}: {fault}" for report in reports for fault in report.faults)
@@ -97,7 +101,7 @@ def refused(reports: Iterable[LogReport], force: bool = False) -> list[str]:
 def read_recording(
     path: str | Path, *, mount: str | None = None, truth: str | None = None, imu: str | None = None
 ) -> Recording:
-    """As `read_log`, on the log's own stamps."""
+    """Read a log as `read_log` does, but keep the time stamps of the log."""
     path = Path(path).expanduser()
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such log")

@@ -1,4 +1,4 @@
-"""An IMU's noise from a log in which it lies still: Allan variance, with the simulator's model fitted."""
+"""Noise of an IMU from a log at rest: the Allan variance, to which the simulator's error model is fitted."""
 
 import math
 from collections.abc import Iterator
@@ -21,54 +21,54 @@ from .recording import Array, Recording
 from .thresholds import STILL
 
 NOISE_S, WALK_S = 10.0, 60.0
-"""Shortest stretches at rest that give a white noise density and a bias random walk [s]."""
+"""Shortest durations at rest from which a white noise density and a bias random walk can be computed [s]."""
 WALK_SHOWS = 4 * math.sqrt(3.0)
-"""A walk exceeds white noise in the Allan variance, σ_b² t/3 > N²/t, at averaging times above √3 N/σ_b, and
-those go to a quarter of the log: one of less than this many N/T does not show in a log of T."""
+"""Smallest σ_b, in units of N/T, that a log of length T can show. A random walk exceeds white noise in the
+Allan variance, σ_b² t/3 > N²/t, at averaging times above √3 N/σ_b, and averaging times are at most T/4."""
 POINTS = 60
-"""Averaging times of the curve."""
+"""Number of averaging times of the curve."""
 LONGEST = 1 / 4
 """Longest averaging time as a share of the log."""
 
 
 class SensorNoise(NamedTuple):
-    """One sensor's noise, all three axes pooled."""
+    """Noise of one sensor, with all three axes pooled."""
 
     name: str
     unit: str
-    """rad/s or m/s²."""
+    """Unit of the sensor, rad/s or m/s²."""
     bias: Array
-    """Mean of each axis over the log (3,); the accelerometer's along gravity alone."""
+    """Mean of each axis over the log (3,); for the accelerometer, only the bias along gravity."""
     turn_on: float
-    """Standard deviation of the turn-on bias, from that mean."""
+    """Standard deviation of the turn-on bias, estimated from `bias`."""
     noise: float
     """White noise density N [unit/√Hz]."""
     random_walk: float
-    """Bias random walk σ_b [unit/√s]; 0 where the log shows none, or is too short."""
+    """Bias random walk σ_b [unit/√s]; 0 if the log shows no random walk or is too short."""
     time_constant: float
-    """Correlation time τ of that walk [s]."""
+    """Correlation time τ of the bias random walk [s]."""
     resolved: bool
-    """Whether the log is long enough to tell τ; if not, it is a lower bound."""
+    """Whether the log is long enough to determine τ; if not, τ is a lower bound."""
     times: Array
-    """Averaging times (k,) [s]."""
+    """Averaging times of `deviation`, (k,) [s]."""
     deviation: Array
-    """Allan deviation (k,), axes pooled."""
+    """Allan deviation of the pooled axes, (k,)."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """What a still log says of an IMU."""
+    """Calibration of an IMU from a log at rest."""
 
     gyro: SensorNoise
     accel: SensorNoise
     still_s: float
-    """Length of the stretch analysed [s]."""
+    """Duration of the analysed part of the log [s]."""
     log: str
     rate_hz: float
 
     @property
     def lacking(self) -> Iterator[str]:
-        """What the log is too short for, and how long it has to be, a sentence each."""
+        """Coefficients for which the log is too short, with the required duration, one sentence each."""
         here = f"{self.still_s:.0f} s"
         if self.still_s < WALK_S:
             least = f"need {WALK_S:g} s at rest at a stretch at least, an hour to be sure; here are {here}"
@@ -85,9 +85,10 @@ class Calibration:
 
 
 def model_variance(times: ArrayLike, noise: float, random_walk: float, time_constant: float) -> Array:
-    """Allan variance of white noise and a bias that is a first-order Gauss-Markov process.
+    """Return the Allan variance of white noise plus a bias that is a first-order Gauss-Markov process.
 
-    N²/t + (σ_b² τ²/t) [1 − (τ/2t)(3 − 4 e^{−t/τ} + e^{−2t/τ})], the error model of `quadsim.imu`.
+    The variance is N²/t + (σ_b² τ²/t) [1 − (τ/2t)(3 − 4 e^{−t/τ} + e^{−2t/τ})], for the error model of
+    `quadsim.imu`.
     """
     t = np.asarray(times, np.float64)
     x = t / time_constant
@@ -98,7 +99,7 @@ def model_variance(times: ArrayLike, noise: float, random_walk: float, time_cons
 
 
 def allan_variance(signal: Array, rate_hz: float, sizes: NDArray[np.int64]) -> Array:
-    """Overlapping Allan variance over time, (T, k) -> (len(sizes), k), for averages over `sizes` samples."""
+    """Return the overlapping Allan variance, (T, k) -> (len(sizes), k), for averages over `sizes` samples."""
     total = np.concatenate([np.zeros((1, signal.shape[1])), np.cumsum(signal - signal.mean(axis=0), axis=0)])
     out = np.empty((sizes.size, signal.shape[1]))
     for row, m in enumerate(sizes):
@@ -108,17 +109,16 @@ def allan_variance(signal: Array, rate_hz: float, sizes: NDArray[np.int64]) -> A
 
 
 def calibrate(log: Recording) -> Calibration:
-    """Noise densities, bias random walks and biases of the IMU that recorded a still log.
+    """Estimate noise densities, bias random walks and biases of an IMU from a log at rest.
 
-    A noise density needs `NOISE_S` at rest at a stretch and a bias random walk `WALK_S`. What the log is too
-    short for is left out, and named by `Calibration.lacking`.
+    A noise density needs a duration of `NOISE_S` at rest, a bias random walk `WALK_S`. `Calibration.lacking`
+    names the coefficients for which the log is too short.
 
     Args:
-        log: From `read_recording`: the raw samples, which no filter has touched. The longest stretch is used
-            in which the sensor lies still.
+        log: The raw samples, from `read_recording`. The longest part at rest is used.
 
     Raises:
-        ValueError: A log without a still stretch or without noise, or no gravity of this planet.
+        ValueError: The log has no part at rest or no noise, or the mean specific force is not gravity's.
     """
     log = longest_part(log)[0]
     rate = 1.0 / float(np.median(np.diff(log.time)))
@@ -145,10 +145,10 @@ def calibrate(log: Recording) -> Calibration:
 
 
 def still_readings(log: Recording) -> tuple[Array, Array]:
-    """Both sensors over the longest stretch in which they lie still and no sample is missing, (n, 3) each.
+    """Return the readings of both sensors in the longest part at rest without a missing sample, (n, 3) each.
 
     Raises:
-        ValueError: It is shorter than `NOISE_S`.
+        ValueError: This part is shorter than `NOISE_S`.
     """
     period = float(np.median(np.diff(log.time)))
     second = max(1, round(1.0 / period))
@@ -174,7 +174,7 @@ def still_readings(log: Recording) -> tuple[Array, Array]:
 
 
 def write_imu(calibration: Calibration, out: Path) -> None:
-    """Write an IMU file that `quadsim generate --set imu=FILE` reads."""
+    """Write an IMU file for `quadsim generate --set imu=FILE`."""
     lines = [
         f"Calibrated by `quadsim identify --still` from {calibration.log}:",
         f"{calibration.still_s:.0f} s at {calibration.rate_hz:.1f} Hz at rest. Scale,",
@@ -195,10 +195,12 @@ def write_imu(calibration: Calibration, out: Path) -> None:
 
 
 def _fitted(signal: Array, rate_hz: float) -> tuple[float, float, float, bool, Array, Array]:
-    """Of three axes (T, 3): N, σ_b, τ, whether τ is resolved, averaging times and Allan deviation.
+    """Fit the error model to three axes (T, 3).
 
-    The model with the Allan variance nearest to theirs, as much of it as T allows: N, σ_b and τ, or N alone,
-    by least squares on the logarithm, weighted by the degrees of freedom.
+    Return N, σ_b, τ, whether τ is resolved, averaging times and Allan deviation.
+
+    The fit minimises the squared error of the logarithm of the Allan variance, weighted by the degrees of
+    freedom. The parameters are N, σ_b and τ, or only N if T is too short.
     """
     sizes = np.unique(np.geomspace(1, max(2, int(len(signal) * LONGEST)), POINTS).astype(np.int64))
     times = sizes / rate_hz
@@ -227,7 +229,7 @@ def _fitted(signal: Array, rate_hz: float) -> tuple[float, float, float, bool, A
 
 
 def draw(calibration: Calibration) -> Figure:
-    """Measured and fitted Allan deviation of both sensors."""
+    """Draw the measured and the fitted Allan deviation of both sensors."""
     figure = Figure(figsize=(9, 3.8), layout="constrained")
     for axes, found in zip(figure.subplots(1, 2), (calibration.gyro, calibration.accel), strict=True):
         axes.loglog(found.times, found.deviation, "o", ms=3.5, label="log")
@@ -240,7 +242,7 @@ def draw(calibration: Calibration) -> Figure:
 
 
 def show_calibration(found: Calibration, out: Path) -> None:
-    """Print a calibration, and write its IMU file and picture: `identify --still`."""
+    """Print a calibration, and write the IMU file and a picture."""
     write_imu(found, out)
     save_figure(out.with_suffix(".png"), draw(found), dpi=130)
     rows = []

@@ -1,4 +1,4 @@
-"""A recording's stamps and readings before they are resampled: its longest part, and what is odd about it."""
+"""Checks of the stamps and readings of a recording before resampling, and the choice of its longest part."""
 
 from dataclasses import replace
 
@@ -11,26 +11,26 @@ from .recording import Array, Recording
 from .thresholds import CLEAN
 
 LONGEST_GAP_S = 30.0
-"""A longer gap ends a recording, and what follows is another part of it."""
+"""Longest gap within a part of a recording [s]; a longer gap begins another part."""
 RATES_HZ = (40.0, 10_000.0)
-"""Sample rates that make sense to bring to the network's."""
+"""Range of sample rates that can be resampled [Hz]."""
 EXACT_S = 1e-7
-"""Stamps this close are the same [s]: clocks count microseconds, or lose digits since 1970."""
+"""Largest difference between stamps that count as equal [s]."""
 FEWEST = 8
-"""Samples that a part has at least."""
+"""Smallest number of samples in a part."""
 
 
 def longest_part(log: Recording) -> tuple[Recording, dict[str, float]]:
-    """The longest part of a recording, with finite readings and stamps that go forward.
+    """Return the longest part of a recording with finite readings and increasing stamps.
 
     Args:
         log: A recording on its own stamps.
 
     Returns:
-        The part, and counts of what was left out or is odd, by the names of `LogReport.counts`.
+        The part, and counts of dropped and doubtful samples, by the names of `LogReport.counts`.
 
     Raises:
-        ValueError: Too few samples, rows out of order, or a sample rate that no IMU has.
+        ValueError: There are too few samples, the rows are not in order, or no IMU has this sample rate.
     """
     stamped = np.isfinite(log.time)
     back = np.diff(log.time[stamped]) < -CLEAN.back_s
@@ -70,15 +70,16 @@ def longest_part(log: Recording) -> tuple[Recording, dict[str, float]]:
 
 
 def split(log: Recording) -> list[Recording]:
-    """The parts of a recording between gaps of more than `LONGEST_GAP_S`, in the order of the log.
+    """Split a recording at gaps of more than `LONGEST_GAP_S`; the parts are in the order of the log.
 
-    Stamps that are far from those on both sides belong to no part: a clock that jumped once makes no new one.
+    Samples whose stamps are far from those on both sides are dropped, so that a single clock error does not
+    begin a new part.
 
     Args:
         log: A recording on its own stamps.
 
     Raises:
-        ValueError: No part has enough samples.
+        ValueError: Every part has too few samples.
     """
     stamped = np.flatnonzero(np.isfinite(log.time))
     together = _between_gaps(log.time, stamped)
@@ -91,13 +92,13 @@ def split(log: Recording) -> list[Recording]:
 
 
 def _between_gaps(time: Array, rows: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    """Rows with `FEWEST` neighbours in the log that are near in time, by parts."""
+    """Return, for each part, the rows that have `FEWEST` neighbours nearby in time."""
     cuts = np.flatnonzero(np.abs(np.diff(time[rows])) > LONGEST_GAP_S) + 1
     return [part for part in np.split(rows, cuts) if part.size >= FEWEST]
 
 
 def gaps_of(time: Array) -> tuple[NDArray[np.bool_], dict[str, float]]:
-    """Which steps of the stamps (T,) are gaps, (T − 1,), and numbers by the names of `LogReport.counts`."""
+    """Return which steps of the stamps (T,) are gaps, (T − 1,), and counts as in `LogReport.counts`."""
     steps = np.diff(time)
     period = float(np.median(steps))
     gap = steps > max(CLEAN.gap * period, period + CLEAN.jitter_s)
@@ -118,22 +119,25 @@ def gaps_of(time: Array) -> tuple[NDArray[np.bool_], dict[str, float]]:
 
 
 def least_steps(readings: Array) -> Array:
-    """Smallest change between two readings of each axis; infinite where there is none."""
+    """Return the smallest change between two readings of each axis; infinite if an axis never changes."""
     steps = np.abs(np.diff(readings, axis=0))
     return np.where(steps > 0, steps, np.inf).min(axis=0)
 
 
 def held(readings: Array, least: int) -> NDArray[np.int64]:
-    """First sample and end of each run of at least `least` equal readings (T, ·); none if all are equal."""
+    """Return first sample and end of each run of at least `least` equal readings (T, ·).
+
+    There are none if all readings are equal.
+    """
     same = (readings[1:] == readings[:-1]).all(axis=1)
     runs = stretches(same) + np.array([0, 1])
     return runs[(np.diff(runs)[:, 0] >= least) & ~same.all()]
 
 
 def stuck_samples(readings: Array, period: float) -> NDArray[np.bool_]:
-    """Samples of each axis of both sensors (T, 6) within a run of equal readings while another axis moves.
+    """Mark samples (T, 6) of an axis in a run of equal readings while another axis of the sensor changes.
 
-    Or of all axes of a sensor while the other sensor moves.
+    Runs of equal readings on all axes of one sensor, while the other sensor changes, are also marked.
     """
     least, stuck = max(round(CLEAN.stuck_s / period), 3), np.zeros(readings.shape, bool)
     for first, moves in ((0, CLEAN.force_moves), (3, CLEAN.rate_moves)):
@@ -149,7 +153,7 @@ def stuck_samples(readings: Array, period: float) -> NDArray[np.bool_]:
 
 
 def _unit_of_stamps(period: float) -> str:
-    """The unit that stamps are likely in whose period cannot be in seconds."""
+    """Return the likely unit of stamps whose period cannot be in seconds."""
     for unit, per_s in {"ms": 1e3, "us": 1e6, "ns": 1e9}.items():
         if 50.0 <= per_s / period <= 4000.0:
             return f'are the stamps in {unit} (time.unit = "{unit}")?'
@@ -157,5 +161,5 @@ def _unit_of_stamps(period: float) -> str:
 
 
 def forward(time: Array, least: float = 0.0) -> NDArray[np.bool_]:
-    """Stamps (T,) that are later than all before them by more than a time [s]."""
+    """Mark stamps (T,) that are later than all previous ones by more than a time [s]."""
     return np.diff(np.maximum.accumulate(time), prepend=-np.inf) > least

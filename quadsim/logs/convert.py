@@ -1,4 +1,4 @@
-"""Logs as a dataset, to train on, tune on and export as if it had been simulated."""
+"""Conversion of logs to a dataset, which can be used like a simulated one."""
 
 import shutil
 from collections.abc import Sequence
@@ -15,23 +15,23 @@ from ..runs.console import say
 from ..runs.files import alone
 
 READ = {"gyro": "gyro", "accel": "accel", "ang_vel": "gyro", "specific_force": "accel", "quat": "quat"}
-"""Variable of a dataset to the one of a log that it repeats: the true rate and force are not known."""
+"""For each variable of a dataset whose truth a log lacks, the measured variable that replaces it."""
 WIDTH = {name: len(LABELS[each.dim]) for name, each in VARIABLES.items()}
 
 
 def convert(logs: Sequence[xr.Dataset], out: Path, piece_s: float = 20.0) -> Path:
-    """Cut logs into pieces of one length in which nothing is missing, and write them as flights.
+    """Cut logs into complete pieces of equal length, and write the pieces as flights.
 
     Args:
-        logs: From `read_log`, all at one rate.
-        out: Path of the dataset; must not exist.
+        logs: Logs from `read_log`, all with the same sample rate.
+        out: Path of the dataset. It must not exist.
         piece_s: Length of a piece [s].
 
     Returns:
         The path of the dataset.
 
     Raises:
-        ValueError: No piece without a gap and with a known attitude, or `out` exists.
+        ValueError: The logs have no gapless piece with a known attitude, or `out` exists.
     """
     out = out.expanduser().absolute()
     rates = {float(log.attrs["rate_hz"]) for log in logs}
@@ -78,7 +78,7 @@ def convert(logs: Sequence[xr.Dataset], out: Path, piece_s: float = 20.0) -> Pat
 
 
 def _pieces(log: xr.Dataset, steps: int) -> list[xr.Dataset]:
-    """Pieces without anything missing, one after the other."""
+    """Yield pieces without missing samples, in order."""
     one = log.isel(flight=0)
     whole = np.logical_and.reduce([np.isfinite(one[name]).all(axis=-1) for name in ("gyro", "accel", "quat")])
     return [
@@ -89,6 +89,6 @@ def _pieces(log: xr.Dataset, steps: int) -> list[xr.Dataset]:
 
 
 def _has_rotors(piece: xr.Dataset) -> bool:
-    """Whether the speed of each of the dataset's rotors is known all the time."""
+    """Return whether the speed of every rotor is known at all samples."""
     speeds = piece.get("rotor_vel", np.empty((1, 0)))
     return speeds.shape[-1] == WIDTH["rotor_vel"] and bool(np.isfinite(speeds).all())

@@ -1,4 +1,4 @@
-"""Faults that begin inside a log: a bias jumps, an axis sticks or saturates, vibration sets in."""
+"""Detection of faults that begin during a log: bias jumps, stuck or saturated axes, and vibration."""
 
 from collections.abc import Iterator
 from typing import Literal, NamedTuple
@@ -17,37 +17,37 @@ FaultKind = Literal["bias jump", "stuck axis", "saturation", "vibration"]
 Sensor = Literal["gyroscope", "accelerometer"]
 
 MOST_STEPS = 8
-"""Jumps of one axis that are looked for."""
+"""Largest number of bias jumps of one axis that are searched for."""
 
 
 SLOW_S = 0.05
-"""Motion slower than this is no vibration [s]."""
+"""Period above which motion does not count as vibration [s]."""
 NORMAL = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation."""
+"""Standard deviation of a normal distribution divided by its median absolute deviation."""
 
 
 class SensorFault(NamedTuple):
-    """A fault of a sensor over a part of a log."""
+    """A fault of a sensor during a part of a log."""
 
     kind: FaultKind
     sensor: Sensor
     axes: str
-    """Axes that it concerns, such as "x" or "xyz"."""
+    """Affected axes, such as "x" or "xyz"."""
     start_s: float
-    """From the log's first sample [s]."""
+    """Start time, from the first sample of the log [s]."""
     end_s: float
-    """The log's last sample where the fault does not end before [s]."""
+    """End time [s]; at the latest, the last sample of the log."""
     evidence: str
-    """What shows it, in a sentence with its figure."""
+    """Evidence for the fault, in a sentence with a number."""
 
     @property
     def name(self) -> str:
-        """Kind, sensor and axes in a few words."""
+        """Kind, sensor and axes of the fault, in a few words."""
         return f"{self.kind}, {self.sensor} {self.axes}"
 
     @property
     def sentence(self) -> str:
-        """When it is, and what shows it."""
+        """Time and evidence of the fault, in a sentence."""
         return f"{self.start_s:.1f} s to {self.end_s:.1f} s: {self.evidence}"
 
 
@@ -60,12 +60,12 @@ def find_faults(
     quat: Array,
     rate_hz: float,
 ) -> tuple[SensorFault, ...]:
-    """Faults of a log, in the order in which they begin.
+    """Find the faults of a log, in the order of their start times.
 
     Args:
-        time: Stamps of the readings as recorded (T,) [s].
-        readings: Of the gyroscope [rad/s] and of the accelerometer [m/s²] as recorded (T, 6).
-        stuck: Samples of each axis at which it repeats one number (T, 6).
+        time: Recorded stamps of the readings (T,) [s].
+        readings: Recorded readings of gyroscope [rad/s] and accelerometer [m/s²] (T, 6).
+        stuck: Samples of each axis that belong to a run of equal readings (T, 6).
         even_gyro: Evenly sampled angular rate (N, 3) [rad/s]; NaN where missing.
         quat: True attitude quat_WB at the even samples (N, 4); NaN where not known.
         rate_hz: Even samples per second.
@@ -83,7 +83,7 @@ def find_faults(
 
 
 def stuck_axes(time: Array, stuck: NDArray[np.bool_]) -> Iterator[SensorFault]:
-    """Runs of samples at which an axis, or all of a sensor, repeats one number while another moves."""
+    """Find runs in which an axis or a sensor repeats one reading while another axis or sensor changes."""
     found: dict[tuple[Sensor, int, int], str] = {}
     for sensor, axis, part in _axes(stuck):
         for start, end in stretches(part):
@@ -99,7 +99,7 @@ def stuck_axes(time: Array, stuck: NDArray[np.bool_]) -> Iterator[SensorFault]:
 
 
 def saturations(time: Array, readings: Array, stuck: NDArray[np.bool_]) -> Iterator[SensorFault]:
-    """Axes whose readings pile up at a limit that they never exceed, while another axis moves."""
+    """Find axes that repeatedly read a limit and never exceed it, while another axis changes."""
     period = float(np.median(np.diff(time)))
     for (sensor, axis, values), (*_, still) in zip(_axes(readings), _axes(stuck), strict=True):
         others = readings[:, :3] if sensor == "gyroscope" else readings[:, 3:]
@@ -118,7 +118,7 @@ def saturations(time: Array, readings: Array, stuck: NDArray[np.bool_]) -> Itera
 
 
 def vibrations(time: Array, gyro: Array, accel: Array) -> Iterator[SensorFault]:
-    """Vibration of the accelerometer that sets in while the vehicle moves, and lasts."""
+    """Find lasting vibration of the accelerometer that starts while the vehicle moves."""
     rate_hz = 1.0 / float(np.median(np.diff(time)))
     size = max(round(FAULT.block_s * rate_hz), 1)
     blocks = blocks_of(fast_part(accel, rate_hz), size)
@@ -147,16 +147,16 @@ def vibrations(time: Array, gyro: Array, accel: Array) -> Iterator[SensorFault]:
 
 
 def fast_part(accel: Array, rate_hz: float) -> Array:
-    """A specific force (T, 3) less its mean over a twentieth of a second: what is above 20 Hz."""
+    """Subtract the moving mean over `SLOW_S` from a specific force (T, 3), as a high-pass filter."""
     return accel - uniform_filter1d(accel, max(round(SLOW_S * rate_hz), 1), axis=0)
 
 
 def bias_jumps(gyro: Array, quat: Array, rate_hz: float) -> Iterator[SensorFault]:
-    """Jumps of the gyroscope's bias against turns of the true attitude over half a second.
+    """Find jumps of the gyroscope bias by comparison with rotations of the true attitude over half a second.
 
     Args:
-        gyro: (T, 3) [rad/s]; NaN where missing.
-        quat: quat_WB (T, 4); NaN where not known.
+        gyro: Body rate (T, 3) [rad/s]; NaN where missing.
+        quat: True attitude quat_WB (T, 4); NaN where not known.
         rate_hz: Samples per second.
     """
     bias, rates, rms = bias_over_time(gyro, quat, rate_hz)
@@ -186,10 +186,11 @@ def bias_jumps(gyro: Array, quat: Array, rate_hz: float) -> Iterator[SensorFault
 
 
 def _steps(bias: Array, rates: Array, rms: Array) -> list[tuple[int, float]]:
-    """Turns (n,) at which the bias of an axis jumps, and by how much [rad/s].
+    """Find the rotations (n,) at which the bias of an axis jumps, and the sizes of the jumps [rad/s].
 
-    At every turn: bias = a + m·ω + s·[after] over the time before and after, by least squares. Errors of
-    scale and mounting go with the rate ω and are none of the step s. Fast turns weigh less.
+    At every rotation, bias = a + m·ω + s·[after] is fitted by least squares to the time before and after.
+    Errors of scale and mounting are proportional to the rate ω and do not contribute to the step s. Fast
+    rotations have smaller weights.
     """
     bias, found = bias.copy(), []
     while len(found) < MOST_STEPS:
@@ -204,7 +205,10 @@ def _steps(bias: Array, rates: Array, rms: Array) -> list[tuple[int, float]]:
 
 
 def _step(bias: Array, rates: Array, rms: Array, k: int) -> tuple[float, float]:
-    """The step of a bias (n,) at turn k [rad/s], and in its standard errors; 0 where too little is known."""
+    """Return the step of a bias (n,) at rotation k, in rad/s and in standard errors.
+
+    0 if there are too few data.
+    """
     most, fewest = round(FAULT.step_s / LONG_S), round(FAULT.least_step_s / LONG_S)
     window = np.arange(max(k - most, 0), min(k + most, len(bias)))
     known = np.isfinite(bias[window])
@@ -231,7 +235,7 @@ def _step(bias: Array, rates: Array, rms: Array, k: int) -> tuple[float, float]:
 def _clipped(
     values: Array, sensor: Array, stuck: NDArray[np.bool_], period: float
 ) -> Iterator[tuple[int, int, float]]:
-    """First sample, end and total time [s] of the parts of an axis (T,) that are clipped from above."""
+    """Return first sample, end and total time [s] of the parts of an axis (T,) clipped at an upper limit."""
     near, least = FAULT.near * least_steps(values[:, None])[0], CLEAN.moves * least_steps(sensor)
     frozen = np.append((sensor[1:] == sensor[:-1]).all(axis=1), False)
     starts = held(values[:, None], max(round(FAULT.run_s / period), 2))[:, 0]
@@ -253,7 +257,7 @@ def _clipped(
 
 
 def _moving(gyro: Array, rate_hz: float, size: int, count: int) -> NDArray[np.bool_]:
-    """Blocks (count,) in which the vehicle turns to and fro, over a second about each."""
+    """Mark blocks (count,) in which the vehicle rotates back and forth, within a second around each block."""
     slow = uniform_filter1d(gyro, max(round(0.1 * rate_hz), 1), axis=0)
     span = max(round(1.0 / FAULT.block_s) * size, 1)
     variance = uniform_filter1d(slow**2, span, axis=0) - uniform_filter1d(slow, span, axis=0) ** 2
@@ -262,7 +266,7 @@ def _moving(gyro: Array, rate_hz: float, size: int, count: int) -> NDArray[np.bo
 
 
 def _axes(values: NDArray) -> Iterator[tuple[Sensor, str, NDArray]]:
-    """Columns (T, 6) with the sensor and axis of each."""
+    """Yield each column of (T, 6) with its sensor and axis."""
     sensors: tuple[Sensor, Sensor] = ("gyroscope", "accelerometer")
     for k, sensor in enumerate(sensors):
         for axis, column in zip("xyz", values[:, 3 * k : 3 * k + 3].T, strict=True):

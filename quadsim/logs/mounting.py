@@ -1,4 +1,4 @@
-"""How the IMU is mounted: from how the truth turns, or from where the mean specific force points.
+"""Estimation of the IMU's mounting, from the true attitude or from the mean specific force.
 
 Signals are evenly sampled: `gyro` (T, 3) [rad/s] and `accel` (T, 3) [m/s²], NaN where missing, and the true
 attitude `quat` (T, 4), quat_WB of the body, NaN where not known.
@@ -26,15 +26,15 @@ BIAS = 0.196
 
 
 class MeanForce(NamedTuple):
-    """Where the specific force points on average."""
+    """Mean direction of the specific force."""
 
     force: Array
-    """Mean specific force, in IMU axes (3,) [m/s²]."""
+    """Mean specific force in IMU axes (3,) [m/s²]."""
     sd_deg: float
-    """Standard deviation of the direction of that mean, by the scatter of its seconds [deg]."""
+    """Standard deviation of the direction of the mean, from the scatter between seconds [deg]."""
     seconds: int
     hover: bool
-    """Whether these are seconds of hover (or at rest); else they are all of the log's."""
+    """Whether only seconds of hover or rest are used; otherwise, all seconds of the log are used."""
 
     @property
     def tilt_deg(self) -> float:
@@ -43,18 +43,18 @@ class MeanForce(NamedTuple):
 
     @property
     def mount(self) -> Array:
-        """The rotation without a change of heading that brings the mean force to body z (3, 3)."""
+        """Rotation that aligns the mean force with body z without a change of heading, (3, 3)."""
         roll, pitch = roll_pitch_of_up(self.force)
         steep = np.hypot(*self.force[1:]) < 0.02 * abs(self.force[0])  # x is up or down: any roll is the same
         return matrix_from_quat(quat_from_roll_pitch([0.0 if steep else roll, pitch]))
 
 
 class Rest(NamedTuple):
-    """A stretch at rest."""
+    """A part of a log at rest."""
 
     seconds: int
     rate: float
-    """The gyroscope's mean rate across the force [rad/s]: its bias."""
+    """Mean rate of the gyroscope perpendicular to the specific force, which is its bias [rad/s]."""
 
 
 class MountEstimate(NamedTuple):
@@ -63,17 +63,20 @@ class MountEstimate(NamedTuple):
     body_from_imu: Array
     """Rotation from IMU to body axes (3, 3)."""
     sd_deg: tuple[float, float, float]
-    """Standard deviation about body x, y, z [deg]; infinite about z where the heading does not show."""
+    """Standard deviation about body x, y, z [deg]; infinite about z if the heading cannot be determined."""
     by: str
-    """What it was estimated from."""
+    """Source of the estimate, in words."""
     accel_bias: Array | None = None
-    """Accelerometer's bias across body z (2,) [m/s²]; None where it cannot be separated from a tilt."""
+    """Accelerometer bias along body x and y (2,) [m/s²]; None if it cannot be separated from a tilt."""
     levelled: bool = False
-    """Whether the tilt is that of the mean force, because the bias hides a part of the IMU's tilt."""
+    """Whether the tilt is that of the mean force, because the bias compensates a part of the IMU's tilt."""
 
 
 def level(gyro: Array, accel: Array, rate_hz: float) -> MeanForce | None:
-    """Mean specific force of the seconds of hover, or of all where there are too few; None without any."""
+    """Return the mean specific force in seconds of hover, or in all seconds if there are too few.
+
+    The result is None without complete seconds.
+    """
     rates, forces = (blocks_of(each, round(rate_hz)) for each in (gyro, accel))
     complete = np.isfinite(rates).all(axis=(1, 2)) & np.isfinite(forces).all(axis=(1, 2))
     rates, forces = rates[complete], forces[complete].mean(axis=1)
@@ -90,12 +93,14 @@ def level(gyro: Array, accel: Array, rate_hz: float) -> MeanForce | None:
 
 
 def turn_at_rest(gyro: Array, accel: Array, rate_hz: float) -> Rest | None:
-    """The stretch at rest over which the vertical turns most by the gyroscope; None where there is none.
+    """Return the part at rest in which the gyroscope rotates the vertical most.
 
-    At rest are seconds in which the specific force is gravity's to a tenth and stays within a share of
-    itself, from the first of the stretch on. The turn is that of the mean rate ω across the force: a vehicle
-    that turns so is not at rest. In a steady banked turn ω is at the angle of bank from the force, which is
-    below 25° where the force is below 1.1 g: an ω within 30° of the force counts as 0.
+    The result is None if there is no such part.
+
+    A sensor is at rest in seconds in which the specific force equals gravity within 10 % and is nearly
+    constant. The rotation is that of the mean rate ω perpendicular to the force. In a steady banked turn, the
+    angle between ω and the force is the bank angle, which is below 25° if the force is below 1.1 g.
+    Therefore, an ω within 30° of the force counts as 0.
     """
     rates, forces = (blocks_of(each, round(rate_hz)) for each in (gyro, accel))
     means, rates = forces.mean(axis=1), rates.mean(axis=1)
@@ -116,15 +121,15 @@ def turn_at_rest(gyro: Array, accel: Array, rate_hz: float) -> Rest | None:
 
 
 def estimate_mount(log: xr.Dataset, given: str | None = None, from_level: bool = False) -> MountEstimate:
-    """The mounting of an IMU, from a true attitude of the body where there is one, else from the mean force.
+    """Estimate the mounting of an IMU from the body's true attitude or, without one, from the mean force.
 
     Args:
-        log: From `read_log`.
-        given: The mount that it was read with; the estimate includes it.
-        from_level: From the mean force, although there is a true attitude.
+        log: A log from `read_log`.
+        given: The mount that the log was read with; the estimate includes this mount.
+        from_level: Use the mean force even if there is a true attitude.
 
     Raises:
-        ValueError: Too little motion for the truth, or no complete second of samples.
+        ValueError: There is too little motion to use the true attitude, or no complete second of samples.
     """
     report, rate_hz = log.attrs["log"], float(log.attrs["rate_hz"])
     gyro, accel, quat = (log[name].to_numpy()[0] for name in ("gyro", "accel", "quat"))
@@ -139,9 +144,9 @@ def estimate_mount(log: xr.Dataset, given: str | None = None, from_level: bool =
 
 
 def _mount_from_level(found: MeanForce | None) -> MountEstimate:
-    """The mounting at which the mean force is along body z; its heading is taken as zero.
+    """Return the mounting that aligns the mean force with body z, without a change of heading.
 
-    The standard deviation is that of the mean and of an accelerometer's bias.
+    The standard deviation combines those of the mean and of the accelerometer bias.
     """
     if found is None:
         raise ValueError("no second without missing samples")
@@ -153,11 +158,11 @@ def _mount_from_level(found: MeanForce | None) -> MountEstimate:
 
 
 def _mount_from_truth(gyro: Array, quat: Array, rate_hz: float) -> MountEstimate:
-    """The rotation that brings the gyroscope's rates nearest to those of the true attitude.
+    """Return the rotation that best aligns the gyroscope's rates with those of the true attitude.
 
-    Wahba's problem, min Σ |ω_truth − R ω_gyro|² (Markley 1988), of rates over spans, the mean of both and the
-    truth's delay taken out. Spans overlap, so that the noise of every sample of the truth is averaged; the
-    standard deviation is that of as many as do not.
+    This is Wahba's problem, min Σ |ω_truth − R ω_gyro|² (Markley 1988), for mean rates over spans of time.
+    The means of both signals and the delay of the truth are removed first. Spans overlap, which averages the
+    noise of the truth. The standard deviation is computed for the number of spans without overlap.
     """
     rates = turns_at_delay(gyro, quat, rate_hz)
     if rates is None:
@@ -177,10 +182,11 @@ def _mount_from_truth(gyro: Array, quat: Array, rate_hz: float) -> MountEstimate
 
 
 def _with_accel_bias(found: MountEstimate, accel: Array, quat: Array) -> MountEstimate:
-    """A mounting by the truth, with the accelerometer's bias: its mean less gravity's in body axes.
+    """Add the accelerometer bias to a mounting from the truth: the mean force minus gravity in body axes.
 
-    Filters take the bias for a tilt. Where it hides a part of the IMU's tilt, so that more would show with
-    the mounting than without, the tilt is that which brings the mean force onto gravity's: both together.
+    Filters interpret the bias as a tilt. If the bias compensates a part of the IMU's tilt, the mounting alone
+    would increase the error. The mounting then aligns the mean force with gravity, which corrects tilt and
+    bias together.
     """
     known = np.isfinite(accel).all(axis=1) & np.isfinite(quat).all(axis=1)
     force = accel[known].mean(axis=0)
@@ -200,7 +206,7 @@ def _with_accel_bias(found: MountEstimate, accel: Array, quat: Array) -> MountEs
 
 
 def show_estimate(path: Path, found: MountEstimate) -> None:
-    """Print an estimated mounting, its uncertainty and the `--mount` that gives it."""
+    """Print an estimated mounting, its uncertainty and the corresponding value of `--mount`."""
     x, y, z = found.sd_deg
     rows = {
         "from": found.by,

@@ -1,4 +1,4 @@
-"""What a log holds before it is resampled, and how its axes become ours (body FLU, world z up)."""
+"""A log before resampling, and its conversion to FLU body axes and a world with z up."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -21,72 +21,76 @@ from ..rotation import (
 
 Array = NDArray[np.float64]
 AxesConvention = Literal["flu", "frd"]
-"""Body forward-left-up in a world with z up (ROS), or forward-right-down in north-east-down (PX4)."""
+"""Axes of a log: body forward-left-up in a world with z up (ROS), or forward-right-down in north-east-down
+(PX4)."""
 TruthAxes = Literal["body", "imu"]
-"""A true attitude is of the body, whatever the IMU's mounting, or of the IMU's own axes (an estimate by the
-sensor or the autopilot, a dataset whose body frame is the IMU's)."""
+"""Whether a true attitude is that of the body or that of the IMU's own axes. The latter holds for estimates
+by the sensor or the autopilot, and for datasets whose body frame is that of the IMU."""
 
 IN_BODY_AXES = ("mag",)
-"""Sensors beside the IMU that measure a vector in its axes."""
+"""Sensors other than the IMU that measure a vector in IMU axes."""
 FORMS = (
     'body axes as IMU axes ("z,-y,x"), Euler angles in degrees ("rpy 0 20 90"), a quaternion w x y z '
     "(4 numbers), or a matrix by rows (9 numbers)"
 )
 TOLERANCE = 0.01
-"""A quaternion's length and a matrix' products of columns may differ from a rotation's by this: rounding."""
+"""Tolerance for rounding errors in the length of a quaternion and the orthogonality of a matrix."""
 OWN_ESTIMATE = "own estimate, which is no independent truth"
-"""What a reader says of an attitude by the sensor or the autopilot."""
+"""Note of readers about an attitude that the sensor or the autopilot estimated."""
 
 
 class Track(NamedTuple):
-    """Readings of a sensor beside the IMU, on its own stamps."""
+    """Readings of a sensor other than the IMU, with their own time stamps."""
 
     time: Array
-    """(K,) [s]."""
+    """Time stamps (K,) [s]."""
     values: Array
-    """(K, ·)."""
+    """Readings (K, ·)."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """One log as it was recorded, on its own stamps."""
+    """One log as recorded, with its own time stamps."""
 
     name: str
     format: str
     time: Array
     """Stamps of the IMU (T,) [s]."""
     gyro: Array
-    """(T, 3) [rad/s]."""
+    """Body rate (T, 3) [rad/s]."""
     accel: Array
     """Specific force (T, 3) [m/s²]."""
     truth: str = "none"
-    """What was taken for the true attitude."""
+    """Source of the true attitude."""
     truth_time: Array | None = None
     """Stamps of the attitude (M,) [s]."""
     quat: Array | None = None
-    """quat_WB (M, 4); NaN where the recording says that it does not hold."""
+    """True attitude quat_WB (M, 4); NaN where the recording marks the attitude as invalid."""
     truth_axes: TruthAxes = "body"
-    """Axes whose attitude the truth is."""
+    """Whether the true attitude is that of the body or of the IMU's own axes."""
     position: Array | None = None
-    """In the world, on the stamps of the attitude (M, 3) [m]."""
+    """Position in world axes at the stamps of the attitude (M, 3) [m]."""
     marked: NDArray[np.bool_] | None = None
-    """Samples of the attitude (M,) that the recording marks for scoring; None: all."""
+    """Samples of the attitude (M,) that the recording marks for scoring; None for all."""
     path: str = "LOG"
-    """The file, for what a command is to be given."""
+    """The file, for suggested commands."""
     notes: tuple[str, ...] = ()
-    """What the reader decided, in sentences for people."""
+    """Decisions of the reader, in sentences."""
     sensors: Mapping[str, Track] = field(default_factory=dict)
-    """Sensors beside the IMU, by their name and in their unit in `quadsim.estimator.Readings`."""
+    """Sensors other than the IMU, with names and units as in `quadsim.estimator.Readings`."""
 
     def with_truth(
         self, truth: str, time: Array, quat: Array, position: Array | None = None, own_axes: bool = False
     ) -> "Recording":
-        """The log with a true attitude; `own_axes` where it is of the IMU's own axes."""
+        """Add a true attitude; with `own_axes`, the attitude is that of the IMU's own axes."""
         axes: TruthAxes = "imu" if own_axes else "body"
         return replace(self, truth=truth, truth_time=time, quat=quat, position=position, truth_axes=axes)
 
     def rotated(self, body_from_log: Array, note: str) -> "Recording":
-        """Its vectors rotated by a matrix (3, 3) from the log's axes; the truth is left as it is."""
+        """Rotate all vectors by a matrix (3, 3) from the axes of the log.
+
+        The true attitude is not changed.
+        """
         sensors = {
             name: Track(track.time, track.values @ body_from_log.T) if name in IN_BODY_AXES else track
             for name, track in self.sensors.items()
@@ -96,7 +100,7 @@ class Recording:
 
 
 def from_frd(log: Recording) -> Recording:
-    """A log in FRD body axes and an NED world, in ours."""
+    """Convert a log from FRD body axes and an NED world to FLU body axes and a world with z up."""
     note = "FRD body axes in an NED world turned into FLU axes in a world with z up"
     return replace(
         log.rotated(swap_flu_frd(np.eye(3)), note),
@@ -106,7 +110,7 @@ def from_frd(log: Recording) -> Recording:
 
 
 def mount_matrix(mount: str) -> Array:
-    """Rotation from IMU to body axes, (3, 3): body vector = matrix @ IMU vector.
+    """Parse a rotation from IMU axes to body axes, (3, 3): body vector = matrix @ IMU vector.
 
     Args:
         mount: Words separated by commas or spaces, one of
@@ -117,7 +121,7 @@ def mount_matrix(mount: str) -> Array:
             the nine numbers of the matrix by rows.
 
     Raises:
-        ValueError: None of these, or no rotation.
+        ValueError: The text has another format or is not a rotation.
     """
     words = mount.replace(",", " ").split()
     signed = ["x", "y", "z", "-x", "-y", "-z"]
@@ -147,7 +151,7 @@ def mount_matrix(mount: str) -> Array:
 
 
 def mount_text(body_from_imu: Array) -> str:
-    """A rotation (3, 3) as `--mount` takes it: axes where it is a permutation, else Euler angles [deg]."""
+    """Format a rotation (3, 3) for `--mount`: axes for a permutation, otherwise Euler angles [deg]."""
     nearest = np.rint(body_from_imu)
     if np.abs(body_from_imu - nearest).max() < 1e-6:
         return ",".join(("-" if row.min() < 0 else "") + "xyz"[np.abs(row).argmax()] for row in nearest)
@@ -156,13 +160,13 @@ def mount_text(body_from_imu: Array) -> str:
 
 
 def mounted(log: Recording, body_from_imu: Array) -> Recording:
-    """A log of an IMU that is mounted in another way, in body axes.
+    """Convert a log from IMU axes to body axes.
 
-    Readings are rotated from IMU to body axes. So is the attitude where it is the IMU's own
-    (`Recording.truth_axes`); an attitude of the body is left as it is.
+    All readings are rotated. The true attitude is rotated only if it is that of the IMU's own axes
+    (`Recording.truth_axes`).
 
     Args:
-        log: In IMU axes.
+        log: The log in IMU axes.
         body_from_imu: Rotation from IMU to body axes (3, 3).
     """
     quat = log.quat

@@ -1,7 +1,7 @@
-"""From a recording on its own stamps to even samples at the network's rate, with everything odd counted.
+"""Resampling of a recording to even samples, with counts of doubtful samples.
 
-Nothing is bridged in silence: where the log has a gap the samples are NaN, which every estimator counts as
-missing, and where the truth is not known it is NaN, which no score counts.
+Samples are NaN in gaps of the log, and estimators count them as missing. The truth is NaN where it is not
+known, and such samples are not scored.
 """
 
 import numpy as np
@@ -21,29 +21,30 @@ from .recording import Array, Recording
 from .truth import align
 
 PASS = 0.8
-"""Share of the new Nyquist frequency that the anti-alias filter lets through; −6 dB is midway to it."""
+"""Pass band of the anti-alias filter as a share of the new Nyquist frequency; the −6 dB point is midway
+between."""
 SENSOR_GAP_S = 0.25
-"""Readings of other sensors further apart than this are not interpolated: ESCs may report at 10 Hz."""
+"""Longest time between readings of other sensors that are interpolated [s]; ESCs may report at 10 Hz."""
 TRUTH_GAP_S = 0.1
-"""Attitudes further apart than this are not interpolated."""
+"""Longest time between attitudes that are interpolated [s]."""
 
 
 def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogReport]:
-    """Even samples of a log, in the layout of the simulator's datasets, one flight.
+    """Resample a log to even samples, as one flight in the layout of a dataset.
 
-    Above the new rate a zero-phase low-pass keeps what cannot be represented from folding down; below it the
-    samples are splined. Angular rate and force are never filtered across a gap.
+    If the log has a higher rate, a zero-phase low-pass prevents aliasing. If it has a lower rate, the samples
+    are interpolated by splines. Body rate and specific force are never filtered across a gap.
 
     Args:
-        log: A recording in our frames.
+        log: A recording in FLU body axes and a world with z up.
         rate_hz: Samples per second.
 
     Returns:
-        Variables gyro, accel, quat, scored and where known position, rotor_vel and mag, over (flight, time,
-        …), and the report as attribute `log`; and the report.
+        The flight and its report. The flight has the variables gyro, accel, quat, scored and, if known,
+        position, rotor_vel and mag, over (flight, time, …), and the report as attribute `log`.
 
     Raises:
-        ValueError: Too few samples, or a sample rate that cannot be brought to the new one.
+        ValueError: There are too few samples, or the sample rate cannot be converted.
     """
     log, counts = longest_part(log)
     time, readings = log.time, np.concatenate([log.gyro, log.accel], axis=1)
@@ -83,7 +84,7 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
 def _even(
     time: Array, readings: Array, grid: Array, rate_hz: float, source_rate: float, corner: float | None
 ) -> Array:
-    """Readings without a gap, (m, 6), on a grid of times within them."""
+    """Resample gapless readings, (m, 6), to a grid of times within them."""
     if corner is None:
         return CubicSpline(time, readings)(grid)
     count = max(int((time[-1] - time[0]) * source_rate) + 1, 4)
@@ -102,7 +103,10 @@ def _even(
 
 
 def interpolated(grid: Array, time: Array, values: Array, longest_s: float) -> Array:
-    """Sound readings on the grid (T, ·), NaN outside and between stamps further apart than a time [s]."""
+    """Interpolate valid readings to the grid (T, ·).
+
+    The result is NaN outside the stamps and in long gaps.
+    """
     good = np.flatnonzero(np.isfinite(values).all(axis=1) & np.isfinite(time))
     good = good[forward(time[good])]
     if good.size < 2:
@@ -118,7 +122,7 @@ def _between(grid: Array, time: Array, longest_s: float) -> NDArray[np.bool_]:
 
 
 def _truth(log: Recording, grid: Array) -> tuple[dict[str, Array], float]:
-    """Attitude, position and mark on the grid, NaN where not known; and samples per second of the truth."""
+    """Return attitude, position and scoring mark on the grid (NaN if unknown), and the rate of the truth."""
     out = {"quat": np.full((grid.size, 4), np.nan), "scored": np.zeros(grid.size, bool)}
     if log.quat is None or log.truth_time is None:
         return out, 0.0

@@ -9,4 +9,4 @@ CLEAN, FAULT, MOUNT, STILL, TURN, CHECK = (
     SimpleNamespace(**tomllib.loads((ASSETS / "logs.toml").read_text("utf-8"))[table])
     for table in ("cleaning", "faults", "mounting", "still", "truth", "checks")
 )
-"""Of each table the values by name: `FAULT.step_s`."""
+"""Values of each table by name, such as `FAULT.step_s`."""

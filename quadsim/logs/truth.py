@@ -1,4 +1,4 @@
-"""The true attitude of a log beside its gyroscope: how late it is, whether both turn alike, and the bias.
+"""Comparison of a log's true attitude with its gyroscope: delay, agreement, and gyroscope bias.
 
 Signals are evenly sampled: `gyro` is the body rate (T, 3) [rad/s], NaN where missing, and `quat` the true
 quat_WB (T, 4), NaN where not known.
@@ -17,52 +17,54 @@ from .recording import Array
 from .thresholds import TURN
 
 SEARCH_S = 0.5
-"""Delays of more than this are not looked for."""
+"""Largest delay that is searched for [s]."""
 SPAN_S, LONG_S = 0.1, 0.5
-"""Turns over these times are compared: white noise of the truth's attitude falls as one over the time, and
-counts over the shorter in gentle motion; over the longer, fast motion turns back."""
+"""Durations of the rotations that are compared [s]. The effect of white noise in the true attitude is
+proportional to one over the duration, so gentle motion needs the longer one. In fast motion, rotations over
+the longer one cancel."""
 BLOCKS = 16
-"""Parts of the log whose scatter gives the bias's interval: errors within one may be correlated."""
+"""Number of parts of the log whose scatter gives the interval of the bias; errors within a part may be
+correlated."""
 
 
 class Agreement(NamedTuple):
-    """How the truth turns beside the gyroscope, over the time in which both have most in common."""
+    """Agreement of the rotations of truth and gyroscope, over the duration at which they agree best."""
 
     agreement: float
-    """Correlation over all three axes, corrected for the truth's noise: 1 where both turn alike."""
+    """Correlation over all three axes, corrected for the noise of the truth; 1 if both rotate equally."""
     axes: Array
-    """The same of each axis (3,); 1 where the truth hardly turns about it."""
+    """Correlation of each axis (3,); 1 if the truth hardly rotates about the axis."""
     rotated: float
-    """The same under the rotation of the gyroscope's axes at which it is largest,"""
+    """Largest correlation under a rotation of the gyroscope's axes."""
     rotation_deg: float
-    """and the angle of that rotation [deg]."""
+    """Angle of the rotation at which the correlation is largest [deg]."""
     gain: float
-    """What that rotation adds to the correlation as it is, not corrected."""
+    """Increase of the uncorrected correlation by this rotation."""
     common: float
-    """Correlation under the best rotation or mirroring: what the truth's noise leaves."""
+    """Correlation under the best rotation or reflection, which only the noise of the truth limits."""
 
 
 class Alignment(NamedTuple):
-    """How the turns of the truth and of the gyroscope belong together."""
+    """Relation between the rotations of the truth and of the gyroscope."""
 
     delay_s: float
-    """How late the truth is [s] (negative: early), to a fraction of a sample."""
+    """Delay of the truth [s], to a fraction of a sample; negative if the truth is early."""
     agreement: float
-    """Correlation of the rates over `SPAN_S` at that delay, all three axes together."""
+    """Correlation of the rates over `SPAN_S` at this delay, all three axes together."""
     rotated_agreement: float
-    """The same under the rotation of the gyroscope's axes at which it is largest."""
+    """Largest correlation under a rotation of the gyroscope's axes."""
     slope: float
-    """Readings over the truth's rates, 1 where units agree: the true slope is between r and 1/r times this,
-    with r the correlation under that rotation."""
+    """Ratio of the readings to the rates of the truth; 1 if the units agree. The true ratio is between r and
+    1/r times this value, where r is `rotated_agreement`."""
     turned: Agreement
-    """Whether both turn alike."""
+    """Whether both rotate equally."""
 
 
 def align(gyro: Array, quat: Array, rate_hz: float) -> Alignment | None:
-    """Find the delay at which the truth turns most as the gyroscope says, and compare both there.
+    """Find the delay at which truth and gyroscope agree best, and compare them at this delay.
 
     Returns:
-        The result; None where there is too little motion.
+        The result; None if there is too little motion.
     """
     found = _turns(gyro, quat, rate_hz)
     if found is None:
@@ -86,11 +88,11 @@ def align(gyro: Array, quat: Array, rate_hz: float) -> Alignment | None:
 
 
 def turns_at_delay(gyro: Array, quat: Array, rate_hz: float) -> tuple[Array, Array, int] | None:
-    """Rates of gyroscope and truth over spans that overlap, less their means, (m, 3) each; samples of a span.
+    """Return rates of gyroscope and truth over overlapping spans, (m, 3) each, and the samples of a span.
 
-    The truth's delay, at which they agree best under any rotation of the gyroscope's axes, is taken out, and
-    so is the gyroscope's scale. Of both spans the one over which they have most in common is used. None where
-    there is too little motion.
+    The means of the rates, the delay of the truth and the scale of the gyroscope are removed. The delay is
+    the one at which the rates agree best under any rotation of the gyroscope's axes. Of the two spans, the
+    one with better agreement is used. The result is None if there is too little motion.
     """
     found = []
     for turns in _turns(gyro, quat, rate_hz) or ():
@@ -120,7 +122,10 @@ class _Turns(NamedTuple):
         return a[both] - a[both].mean(axis=0), b[both] - b[both].mean(axis=0)
 
     def at_all_delays(self) -> "_Match":
-        """How they belong together at every delay from the largest negative one on: arrays of them."""
+        """Match both at every delay, from the largest negative one on.
+
+        The result holds arrays over delays.
+        """
         known = np.isfinite(self.measured[:, 0]).astype(np.float64)
         a, b = (np.nan_to_num(each).T for each in (self.measured, self.true))
 
@@ -222,28 +227,32 @@ def _match(moments: Array, p: Array, q: Array) -> _Match:
 
 
 class GyroBias(NamedTuple):
-    """Mean bias of a gyroscope over a log."""
+    """Mean bias of a gyroscope over a log, with its confidence interval."""
 
     mean: Array
-    """(3,) [rad/s]."""
+    """Mean bias (3,) [rad/s]."""
     half_width: Array
-    """Half the width of its 95 % interval (3,) [rad/s]."""
+    """Half the width of the 95 % interval of the mean bias (3,) [rad/s]."""
 
     @property
     def significant(self) -> Array:
-        """The mean on axes where it differs significantly from zero, else 0 (3,) [rad/s]; NaN if unknown."""
+        """Mean bias on axes where it differs significantly from zero, and 0 elsewhere (3,) [rad/s].
+
+        The bias is NaN if it is unknown.
+        """
         return np.where(np.abs(self.mean) <= self.half_width, 0.0, self.mean)
 
 
 def bias_by_truth(gyro: Array, quat: Array, rate_hz: float) -> GyroBias:
-    """The bias b at which the integrated gyroscope turns as the truth does, with its 95 % interval.
+    """Estimate the bias b at which the integrated gyroscope matches the true rotations, with a 95 % interval.
 
-    Over a turn from s to e, log(R_truthᵀ R_gyro) = R_eᵀ ∫ R dt b to first order: least squares over turns of
-    `LONG_S`, iterated. White noise of the truth's attitude cancels from one turn to the next; the interval is
-    by the scatter of blocks of turns (cluster-robust, Student's t).
+    For a rotation from s to e, log(R_truthᵀ R_gyro) = R_eᵀ ∫ R dt b to first order. The bias is the iterated
+    least-squares solution over rotations of duration `LONG_S`. White noise of the true attitude cancels
+    between successive rotations. The interval follows from the scatter of blocks of rotations
+    (cluster-robust, Student's t).
 
     Returns:
-        The bias; NaN if fewer than a second of slow turns is known.
+        The bias; NaN if less than a second of slow rotations is known.
     """
     known, rates, truth = _slow_turns(gyro, quat, rate_hz)
     if known.sum() * LONG_S < 1.0:
@@ -261,9 +270,9 @@ def bias_by_truth(gyro: Array, quat: Array, rate_hz: float) -> GyroBias:
 
 
 def bias_over_time(gyro: Array, quat: Array, rate_hz: float) -> tuple[Array, Array, Array]:
-    """Bias and mean rate (n, 3), and the rate's root mean square (n,), over each turn of `LONG_S` [rad/s].
+    """Return bias and mean rate (n, 3), and RMS rate (n,), over each rotation of duration `LONG_S` [rad/s].
 
-    The bias is linear about that of the log. All are NaN where the turn is fast or not known.
+    The bias is linearised about that of the log. All results are NaN where a rotation is fast or not known.
     """
     known, rates, truth = _slow_turns(gyro, quat, rate_hz)
     bias, means, rms = (np.full((len(known), *shape), np.nan) for shape in ((3,), (3,), ()))
@@ -279,7 +288,7 @@ def bias_over_time(gyro: Array, quat: Array, rate_hz: float) -> tuple[Array, Arr
 
 
 def _slow_turns(gyro: Array, quat: Array, rate_hz: float) -> tuple[NDArray[np.bool_], Array, Array]:
-    """Which turns of `LONG_S` are slow and known (n,); of those the rates (m, k, 3) and true turns (m, 4)."""
+    """Return which rotations are slow and known (n,), their rates (m, k, 3) and true rotations (m, 4)."""
     span = max(round(LONG_S * rate_hz), 1)
     count = (len(gyro) - 1) // span
     rates = (0.5 * (gyro[:-1] + gyro[1:]))[: count * span].reshape(count, span, 3)
@@ -290,7 +299,7 @@ def _slow_turns(gyro: Array, quat: Array, rate_hz: float) -> tuple[NDArray[np.bo
 
 
 def _beyond(rates: Array, truth: Array, dt: float) -> tuple[Array, Array]:
-    """What body rates (n, k, 3) turn further than true turns (n, 4): (n, 3) [rad], and R_endᵀ ∫ R dt [s]."""
+    """Return by how much rates (n, k, 3) exceed rotations (n, 4), (n, 3) [rad], and R_endᵀ ∫ R dt [s]."""
     turned, lever = np.tile([1.0, 0.0, 0.0, 0.0], (len(rates), 1)), np.zeros((len(rates), 3, 3))
     for k in range(rates.shape[1]):
         half = quat_from_rotvec(0.5 * dt * rates[:, k])

@@ -1,1 +1,1 @@
-"""The equations of motion: rotors and frame, a free body, and MuJoCo where the ground can be touched."""
+"""Equations of motion of rotors and frame; motion of a free body, or by MuJoCo with ground contact."""

@@ -1,4 +1,4 @@
-"""MuJoCo as the engine of the plant: it moves the vehicles, with contact where the ground can be touched."""
+"""MuJoCo as the engine of the plant, optionally with ground contact."""
 
 import logging
 
@@ -22,7 +22,7 @@ INTEGRATORS = ("RK4", "implicitfast", "implicit", "Euler")
 
 
 def vehicle_model(vehicle: Vehicle, timestep: float, integrator: str, contact: bool) -> mujoco.MjModel:
-    """The MuJoCo model of one vehicle.
+    """Make the MuJoCo model of one vehicle.
 
     Raises:
         ValueError: MuJoCo has no such integrator.
@@ -45,11 +45,11 @@ def vehicle_model(vehicle: Vehicle, timestep: float, integrator: str, contact: b
 
 
 class MujocoEngine:
-    """n copies of a model, which exchange their state with the records of the plant.
+    """Simulates n copies of a model, whose states are exchanged with the records of the plant.
 
     Args:
-        model: The model of one vehicle, its six actuators the wrench in body axes.
-        vehicles: (n,) records of `quadsim.motion.rotors.vehicle_dtype`; masses and inertias are theirs.
+        model: The model of one vehicle, whose six actuators apply force and moment in body axes.
+        vehicles: (n,) records of `quadsim.motion.rotors.vehicle_dtype`, with masses and inertias.
         contact: Whether the ground can be touched.
     """
 
@@ -69,14 +69,14 @@ class MujocoEngine:
         _read(self.vehicles, self.qpos, self.qvel, self.reaction)
 
     def forward(self) -> None:
-        """Write the reaction of the ground at the present state."""
+        """Write the reaction of the ground in the current state."""
         _write(self.vehicles, self.qpos, self.qvel, self.ctrl)
         if self.contact:
             self.batch.forward()
         _read(self.vehicles, self.qpos, self.qvel, self.reaction)
 
     def write_inertia(self) -> None:
-        """Give the models the masses and inertias of the records."""
+        """Set the masses and inertias of the models to those of the records."""
         self.batch.expand("body_mass")[:, BODY] = self.vehicles["mass"]
         self.batch.expand("body_inertia")[:, BODY] = self.vehicles["inertia"]
         self.batch.set_const()

@@ -1,4 +1,4 @@
-"""One free rigid body, integrated in time: MuJoCo's RK4 for it, written out.
+"""A free rigid body, integrated by the same scheme as MuJoCo's RK4.
 
 MuJoCo integrates a body with a free joint by a Runge–Kutta–Munthe-Kaas scheme (Munthe-Kaas 1998): velocity,
 body rate and position by the classical fourth-order method, the attitude by the same method in the Lie
@@ -15,9 +15,10 @@ from .rotors import angular_acceleration
 
 @njit(cache=True)
 def dexp_inverse(u, w):
-    """Derivative of the rotation vector u of q = q₀ ⊗ exp(u) while the body turns at w, body axes.
+    """Return the derivative of the rotation vector u of q = q₀ ⊗ exp(u) for a body rate w.
 
-    w + ½ u × w + (1 − ½θ cot ½θ)/θ² u × (u × w), θ = |u| (Iserles et al. 2000, eq. 2.46, right-trivialised).
+    The derivative is w + ½ u × w + (1 − ½θ cot ½θ)/θ² u × (u × w), θ = |u| (Iserles et al. 2000, eq. 2.46,
+    right-trivialised).
     """
     x, y, z = u
     cx, cy, cz = y * w[2] - z * w[1], z * w[0] - x * w[2], x * w[1] - y * w[0]
@@ -36,7 +37,7 @@ def dexp_inverse(u, w):
 
 @njit(cache=True)
 def unit(q):
-    """Quaternion of length 1, as MuJoCo makes it: no rotation of a zero, and as it is to round-off of 1."""
+    """Normalise a quaternion as MuJoCo does: zero becomes the identity, and a length of 1 is kept."""
     w, x, y, z = q[0], q[1], q[2], q[3]
     norm = math.sqrt(w * w + x * x + y * y + z * z)
     if norm < 1e-15:
@@ -48,7 +49,7 @@ def unit(q):
 
 @njit(cache=True)
 def turned(q, u):
-    """Multiply q ⊗ exp(u) and normalise: the attitude after a rotation by the vector u, body axes [rad]."""
+    """Return the normalised q ⊗ exp(u), the attitude after a rotation by the vector u, body axes [rad]."""
     x, y, z = u
     angle = math.sqrt(x * x + y * y + z * z)
     c, s = math.cos(0.5 * angle), 0.5
@@ -64,19 +65,19 @@ def turned(q, u):
 
 @njit(cache=True)
 def scaled(k, a):
-    """Vector k a."""
+    """Return the vector k a."""
     return k * a[0], k * a[1], k * a[2]
 
 
 @njit(cache=True)
 def moved(x, k, a):
-    """Vector x + k a."""
+    """Return the vector x + k a."""
     return x[0] + k * a[0], x[1] + k * a[1], x[2] + k * a[2]
 
 
 @njit(cache=True)
 def weighted(a, b, c, d):
-    """Weighted mean (a + 2 b + 2 c + d) / 6."""
+    """Return the weighted mean (a + 2 b + 2 c + d) / 6."""
     return (
         (a[0] + 2.0 * (b[0] + c[0]) + d[0]) / 6.0,
         (a[1] + 2.0 * (b[1] + c[1]) + d[1]) / 6.0,
@@ -86,7 +87,7 @@ def weighted(a, b, c, d):
 
 @njit(cache=True)
 def acceleration(p, q):
-    """Acceleration under force and gravity at an attitude, world [m/s²]."""
+    """Return the acceleration by force and gravity at an attitude, world axes [m/s²]."""
     f, m = p.force, p.mass
     fx, fy, fz = rotate_core(q[0], q[1], q[2], q[3], f[0] / m, f[1] / m, f[2] / m)
     return fx, fy, fz - GRAVITY
@@ -94,10 +95,10 @@ def acceleration(p, q):
 
 @njit(cache=True)
 def advance(p):
-    """Move one body by a step under a force and a moment that are constant in body axes.
+    """Move one body by one step with a force and a moment that are constant in body axes.
 
     Args:
-        p: Record of `quadsim.motion.rotors.vehicle_dtype`: its state moves on.
+        p: Record of `quadsim.motion.rotors.vehicle_dtype`; its state is updated.
     """
     x, v, w, r = p.state.position, p.state.velocity, p.state.ang_vel, p.state.quat
     h, moment, q = p.dt, (p.moment[0], p.moment[1], p.moment[2]), unit(r)

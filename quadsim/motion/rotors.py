@@ -1,4 +1,4 @@
-"""Rotors and frame: first-order lag, thrust, H-force and drag as one body wrench. Compiled equations."""
+"""Compiled equations of rotors and frame: lag, and force and moment by thrust, H-force and drag."""
 
 import math
 from functools import cache
@@ -12,7 +12,10 @@ from ..vehicle import AIR_DENSITY, Vehicle
 
 @cache
 def state_dtype(rotors: int) -> np.dtype:
-    """The state of a vehicle with so many rotors at one instant, fields as in `quadsim.plant.State`."""
+    """Return the record type of the state of a vehicle with this many rotors.
+
+    Fields are as in `quadsim.plant.State`.
+    """
     return np.dtype(
         [
             ("position", "f8", 3),
@@ -30,7 +33,7 @@ def state_dtype(rotors: int) -> np.dtype:
 
 @cache
 def vehicle_dtype(rotors: int) -> np.dtype:
-    """The record of one simulated vehicle with so many rotors: its constants, its state, and scratch."""
+    """Return the record type of a vehicle with this many rotors: constants, state, and scratch space."""
     return np.dtype(
         [
             ("mass", "f8"),
@@ -62,7 +65,10 @@ def vehicle_dtype(rotors: int) -> np.dtype:
 
 
 def vehicle_records(vehicles: list[Vehicle], dt: float) -> NDArray[np.void]:
-    """Records of vehicles with healthy rotors at rest, shape (n,); dt: step of the engine [s]."""
+    """Return records of vehicles with healthy rotors at rest, shape (n,).
+
+    Dt is the step of the engine [s].
+    """
     records = np.zeros(len(vehicles), vehicle_dtype(len(vehicles[0].rotors)))
     for record, vehicle in zip(records, vehicles, strict=True):
         record["mass"], record["inertia"] = vehicle.mass, vehicle.inertia
@@ -76,9 +82,11 @@ def vehicle_records(vehicles: list[Vehicle], dt: float) -> NDArray[np.void]:
 
 @njit(cache=True)
 def lag(omega, ref, tau, dt):
-    """First-order lag over dt towards ref: the speed at the end, its mean and mean square over the interval.
+    """Apply a first-order lag towards ref for dt.
 
-    ω(t) = ref + (ω − ref) e^{−t/τ}, so the answer is exact and the same at any call rate.
+    Return final speed, mean, and mean square over the interval.
+
+    The solution ω(t) = ref + (ω − ref) e^{−t/τ} is exact at any call rate.
     """
     decay = math.exp(-dt / tau)
     gap = omega - ref
@@ -89,16 +97,16 @@ def lag(omega, ref, tau, dt):
 
 @njit(cache=True)
 def aerodynamic_wrench(p, speed, square, air_vel, ang_vel):
-    """Aerodynamic force and moment on the vehicle, body axes, about the centre of mass.
+    """Return aerodynamic force and moment on the vehicle, body axes, about the centre of mass.
 
-    Rotor i: thrust k_f ω² along z, H-force −c |ω| V⊥, moments r × F, reaction torque k_m k_f ω² and
-    −c_r |ω| V⊥ (RotorS, gazebo_motor_model; Martin & Salaün 2010), V⊥ the hub's air-relative velocity in the
-    rotor plane. Frame: −½ ρ C_d A |v| v per axis.
+    Each rotor has thrust k_f ω² along z, H-force −c |ω| V⊥, moment r × F, reaction torque k_m k_f ω² and
+    rolling moment −c_r |ω| V⊥ (RotorS, gazebo_motor_model; Martin & Salaün 2010). V⊥ is the velocity of the
+    hub relative to the air, in the rotor plane. The drag of the frame is −½ ρ C_d A |v| v per axis.
 
     Args:
         p: Record of the vehicle.
         speed: (rotors,) rotor speed [rad/s].
-        square: (rotors,) squared rotor speed [rad²/s²]: of this instant, or its mean over a step.
+        square: (rotors,) squared rotor speed, instantaneous or averaged over a step [rad²/s²].
         air_vel: Air-relative velocity of the centre of mass, body axes, a tuple [m/s].
         ang_vel: Body rate, a tuple [rad/s].
 
@@ -131,7 +139,7 @@ def aerodynamic_wrench(p, speed, square, air_vel, ang_vel):
 
 @njit(cache=True)
 def angular_acceleration(inertia, moment, ang_vel):
-    """Euler's equation I ω̇ = M − ω × I ω, principal body axes, of tuples [rad/s²]."""
+    """Return the angular acceleration, I ω̇ = M − ω × I ω, in principal body axes, a tuple [rad/s²]."""
     mx, my, mz = moment
     wx, wy, wz = ang_vel
     ax = (mx - (inertia[2] - inertia[1]) * wy * wz) / inertia[0]

@@ -1,4 +1,4 @@
-"""Videos of flights: the vehicle, and what an estimator believed of it."""
+"""Videos of flights, with the true and the estimated attitude of the vehicle."""
 
 from collections.abc import Callable
 from contextlib import closing
@@ -15,7 +15,7 @@ from .render import Scene, View, drawn_by_processor
 TRAIL_S = 2.0
 """Length of the trail [s]."""
 SMOOTH_S = 0.17
-"""Standard deviation of the low-pass of the camera's path [s]."""
+"""Standard deviation of the Gaussian low-pass of the camera's path [s]."""
 
 
 class Format(NamedTuple):
@@ -27,19 +27,19 @@ class Format(NamedTuple):
 
     @classmethod
     def suited(cls) -> "Format":
-        """What the renderer of this machine draws in about the time that the flight takes."""
+        """Return the largest format that this computer renders in about real time."""
         return cls(640, 360, 12.5) if drawn_by_processor() else cls(960, 540, 25.0)
 
 
 class Marks(NamedTuple):
-    """What a film shows beside the vehicle, sample by sample."""
+    """Quantities that a video shows in addition to the vehicle, sample by sample."""
 
     estimate: NDArray[np.float64]  #: (T, 4) estimated quat_WB, of a translucent second body
     target: NDArray[np.float64]  #: (T, 3) set-point [m]
     wind: NDArray[np.float64]  #: (T, 3) wind at the vehicle, world axes [m/s]
 
     def text(self, k: int, time: float, quat: ArrayLike) -> tuple[str, str]:
-        """Words of sample k, and their values: clock, error of the estimate, wind."""
+        """Return labels and values for sample k: clock, error of the estimate, wind."""
         error = 2 * np.arccos(min(abs(float(np.dot(self.estimate[k], np.asarray(quat)))), 1.0))
         speed = float(np.linalg.norm(self.wind[k]))
         said = {"time": f"{time:.1f} s", "error of estimate (blue)": f"{np.degrees(error):.1f} deg"}
@@ -56,20 +56,20 @@ def film(
     marks: Marks,
     progress: Callable[[int, int], object] | None = None,
 ) -> Path:
-    """Write a video of a flight in real time; the camera follows, and the last two seconds leave a trail.
+    """Write a video of a flight in real time, in which the camera follows the vehicle and its trail.
 
     Args:
         path: File to write, `.mp4`.
         vehicle: Airframe.
-        time: (T,) [s].
-        position: (T, 3) [m].
-        quat: (T, 4) quat_WB.
+        time: Times of the samples (T,) [s].
+        position: Position in world axes (T, 3) [m].
+        quat: True quat_WB (T, 4).
         marks: Estimate, set-point and wind, which are shown with a clock.
-        progress: Called after each frame with the number of frames done and of all.
+        progress: Called after each frame with the number of finished frames and the total.
 
     Raises:
-        RuntimeError: If neither EGL nor OSMesa works here.
-        ValueError: If the flight has no two samples.
+        RuntimeError: Neither EGL nor OSMesa works.
+        ValueError: The flight has fewer than two samples.
     """
     import imageio.v2 as imageio
 

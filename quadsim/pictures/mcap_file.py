@@ -1,8 +1,8 @@
-"""A flight as MCAP with JSON messages that Foxglove shows.
+"""A flight as an MCAP file with JSON messages for Foxglove.
 
-Topics: /body, the true pose (foxglove.PoseInFrame), /frames/body and /frames/ESTIMATOR
-(foxglove.FrameTransform), /scene (foxglove.SceneUpdate), /imu (sensor_msgs/Imu), /traces/NAME and /spikes,
-which has the neurons that spike at a time by population.
+The topics are /body, the true pose (foxglove.PoseInFrame); /frames/body and /frames/ESTIMATOR
+(foxglove.FrameTransform); /scene (foxglove.SceneUpdate); /imu (sensor_msgs/Imu); /traces/NAME; and /spikes,
+which lists the neurons that spike at a time, by population.
 """
 
 import heapq
@@ -37,23 +37,23 @@ class Topic(NamedTuple):
     contents: list[Json]  #: without their stamps, (M,)
 
     def messages(self) -> Iterator[tuple[int, str, Json]]:
-        """Time [ns], topic and content of each."""
+        """Time [ns], topic and content of each message."""
         for ns, content in zip(np.rint(1e9 * self.time).astype(int).tolist(), self.contents, strict=True):
             yield ns, self.name, self.stamped(ns, content)
 
     def stamped(self, ns: int, content: Json) -> Json:
-        """A content with its stamp, as ROS has it for an IMU, and as Foxglove has it."""
+        """Return a message content with time stamps in the formats of ROS and Foxglove."""
         stamp = {"sec": ns // 10**9, "nsec": ns % 10**9}
         heads = {IMU: {"header": {"stamp": stamp, "frame_id": BODY}}, SCENE: {}}
         return heads.get(self.schema, {"timestamp": stamp}) | content
 
 
 def write(path: Path, timeline: Timeline) -> None:
-    """Write an MCAP file whose time begins at 0 s.
+    """Write an MCAP file whose time starts at 0 s.
 
     Args:
         path: File to write, `.mcap`.
-        timeline: What it shows.
+        timeline: The flight to show.
     """
     from mcap.writer import Writer
 
@@ -108,7 +108,7 @@ def _spikes(populations: Mapping[str, Spikes]) -> Topic:
 
 
 def _scene(timeline: Timeline) -> Json:
-    """Outlines that move with the frames of the poses."""
+    """Return the outlines of the vehicle, which move with the frames of the poses."""
     start, entities = {"sec": 0, "nsec": 0}, []
     strips = [LINE | {"points": _rows("xyz", points)} for points in outline(timeline.vehicle)]
     for name, (colour, _) in zip(timeline.poses, styles(timeline.poses, timeline.poses), strict=True):
@@ -121,18 +121,18 @@ def _scene(timeline: Timeline) -> Json:
 
 
 def _rows(names: Iterable[str], values: Array) -> list[Json]:
-    """The rows of an array (T, names) as objects, without numbers that are missing."""
+    """Return the rows of an array (T, names) as dictionaries, without missing numbers."""
     keys = list(names)
     return [{key: x for key, x in zip(keys, row, strict=True) if x == x} for row in values.tolist()]
 
 
 def _plain(name: str) -> str:
-    """A name without characters that Foxglove's message paths cannot have."""
+    """Return a name without characters that Foxglove's message paths forbid."""
     return re.sub(r"[^A-Za-z0-9_-]+", "_", name)
 
 
 def _schema(value: Any) -> Json:
-    """The JSON schema of a value."""
+    """Return the JSON schema of a value."""
     if isinstance(value, dict):
         return {"type": "object", "properties": {name: _schema(each) for name, each in value.items()}}
     if isinstance(value, list):

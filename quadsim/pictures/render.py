@@ -1,8 +1,7 @@
-"""Pictures and videos of flights, without a screen: EGL where there is one, else OSMesa.
+"""Pictures and videos of flights, rendered without a screen by EGL or OSMesa.
 
-The scene (sky, ground, sun, paint) is `assets/scene.xml`; the quadrotor is drawn from its vehicle's own
-numbers, so any airframe looks like itself. No physics happens here: vehicles are placed where a flight says
-they were.
+The scene (sky, ground, sun, paint) is `assets/scene.xml`. The quadrotor is drawn with the dimensions of its
+vehicle. This module does no physics: vehicles are placed at the recorded positions.
 """
 
 import importlib
@@ -31,19 +30,19 @@ GHOST_COLOUR = np.array([0.10, 0.55, 0.95, 0.30], dtype=np.float32)
 TARGET_COLOUR = np.array([0.10, 0.75, 0.30, 0.90], dtype=np.float32)
 WIND_COLOUR = np.array([0.45, 0.25, 0.85, 0.90], dtype=np.float32)
 WIND_SCALE = 0.06
-"""Length of the wind's arrow, metres for each m/s."""
+"""Length of the wind arrow, in metres per m/s."""
 SAMPLES = 8
-"""For each pixel, for smooth edges."""
+"""Samples per pixel, for smooth edges."""
 DRAFT = {"numslices": 12, "numstacks": 6, "shadowsize": 2048}
-"""Detail of round bodies and of shadows where a processor draws, which then is twice as fast."""
+"""Detail of round bodies and shadows when the CPU renders, which doubles the speed."""
 PROCESSORS = ("llvmpipe", "softpipe", "swrast", "swiftshader")
-"""What OpenGL calls renderers without a graphics card."""
+"""Names of OpenGL renderers that do not use a graphics card."""
 CALM = 0.05
-"""Wind without an arrow [m/s]."""
+"""Wind speed below which no arrow is drawn [m/s]."""
 
 
 class View(NamedTuple):
-    """Where the camera looks from."""
+    """Position and direction of the camera."""
 
     target: tuple[float, float, float]  #: point looked at, world [m]
     distance: float = 1.3  #: [m]
@@ -52,7 +51,7 @@ class View(NamedTuple):
 
 
 class Scene:
-    """An offscreen picture of a quadrotor, to be drawn again and again; `close` it afterwards.
+    """An offscreen renderer of a quadrotor. Call `close` after use.
 
     Args:
         vehicle: Airframe to draw.
@@ -62,7 +61,7 @@ class Scene:
         draft: Draw round bodies and shadows with less detail.
 
     Raises:
-        RuntimeError: If neither EGL nor OSMesa works here; the message says what to install.
+        RuntimeError: Neither EGL nor OSMesa works; the message says what to install.
     """
 
     def __init__(
@@ -101,12 +100,12 @@ class Scene:
 
         Args:
             position: (3,) centre of mass, world [m].
-            quat: (4,) quat_WB, or (2, 4) with that of the ghost.
+            quat: (4,) quat_WB, or (2, 4) with a second row for the ghost.
             view: Camera.
             trail: (m, 3) points joined by a thin line [m].
             target: (3,) set-point, a small ball [m].
             wind: (3,) an arrow above the quadrotor, world axes [m/s].
-            text: Words and their values, a line each, in a corner.
+            text: Labels and values, shown in a corner, one per line.
 
         Returns:
             Image of shape (height, width, 3).
@@ -147,7 +146,7 @@ class Scene:
         self._context.free()
 
     def _light(self, view: View) -> None:
-        """Put the sun, whose shadows reach only so far, over the middle of the view."""
+        """Place the sun above the centre of the view, because its shadows have a limited extent."""
         sun = self.model.light("sun").id
         reach = max(1.5, view.distance)
         self.model.light_pos[sun] = np.array(view.target) - 4.0 * reach * self.model.light_dir[sun]
@@ -175,10 +174,10 @@ class Scene:
 
 @cache
 def drawn_by_processor() -> bool:
-    """Whether OpenGL draws without a graphics card here.
+    """Return whether OpenGL renders without a graphics card on this computer.
 
     Raises:
-        RuntimeError: If neither EGL nor OSMesa works here.
+        RuntimeError: Neither EGL nor OSMesa works.
     """
     context = _gl_context(16, 16)
     context.make_current()
@@ -191,7 +190,10 @@ def drawn_by_processor() -> bool:
 def scene_model(
     vehicle: Vehicle, copies: int, width: int, height: int, draft: bool = False
 ) -> mujoco.MjModel:
-    """The scene with quadrotors that can be placed anywhere (mocap bodies); arguments as of `Scene`."""
+    """Make the model of a scene with movable quadrotors (mocap bodies).
+
+    The arguments are those of `Scene`.
+    """
     spec = mujoco.MjSpec.from_string((ASSETS / "scene.xml").read_text(encoding="utf-8"))
     spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
     spec.visual.quality.offsamples = SAMPLES
@@ -211,11 +213,11 @@ class _Context(Protocol):
 
 
 def _gl_context(width: int, height: int) -> _Context:
-    """A headless OpenGL context.
+    """Make a headless OpenGL context.
 
-    MuJoCo chooses its backend from an environment variable when it is first imported; here the backends are
-    tried in turn instead, so that no variable has to be set. PyOpenGL serves only one of them at a time and
-    is loaded again for the next.
+    MuJoCo chooses its backend from an environment variable on import. This function tries the backends in
+    turn, so that no variable has to be set. PyOpenGL supports only one backend at a time and is loaded again
+    for the next.
     """
     reasons = []
     chosen = os.environ.get("PYOPENGL_PLATFORM")

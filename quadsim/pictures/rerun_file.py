@@ -1,4 +1,4 @@
-"""A flight as a recording of rerun (.rrd), with a layout of its views."""
+"""A flight as a recording for rerun (.rrd), with a layout of the views."""
 
 from itertools import cycle
 from pathlib import Path
@@ -11,17 +11,17 @@ from .timeline import BODY, COLOURS, PALETTE, Array, Timeline, outline, styles
 WIND_SCALE = 0.06
 """Length of the wind's arrow, metres for each m/s."""
 EYE = -1.2, -0.9, 0.6
-"""Where the eye is at first, from the vehicle [m]."""
+"""Initial position of the eye relative to the vehicle [m]."""
 ROWS = ("roll", "error of roll"), ("pitch", "error of pitch")
-"""Traces that are beside each other; the others are in tabs."""
+"""Traces that are shown side by side; the others are in tabs."""
 
 
 def write(path: Path, timeline: Timeline) -> None:
-    """Write a recording; its timeline `time` begins at 0 s.
+    """Write a recording, whose timeline `time` starts at 0 s.
 
     Args:
         path: File to write, `.rrd`.
-        timeline: What it shows.
+        timeline: The flight to show.
     """
     import rerun as rr  # pyright: ignore[reportMissingImports]
     import rerun.blueprint as rrb  # pyright: ignore[reportMissingImports]
@@ -74,7 +74,7 @@ def write(path: Path, timeline: Timeline) -> None:
 
 
 def _layout(rr: Any, rrb: Any, timeline: Timeline, views: dict[str, Any]) -> Any:
-    """The vehicle, and beside it roll and pitch with their errors, spikes, and the other traces in tabs."""
+    """Return the layout: the vehicle beside roll, pitch, their errors, spikes, and tabs of other traces."""
     start = timeline.position[np.isfinite(timeline.position).all(axis=1)][0]
     tracked = BODY if BODY in timeline.poses else next(iter(timeline.poses))
     follow = rr.new_entity_path(["world", tracked, "outline"])

@@ -9,7 +9,7 @@ from ..vehicle import Vehicle
 
 
 def quadrotor_geoms(vehicle: Vehicle) -> list[dict[str, object]]:
-    """Shapes that make up the picture of a vehicle, in body axes, from its hubs and propellers."""
+    """Return the shapes of the picture of a vehicle, in body axes, from its hubs and propellers."""
     hubs = vehicle.hubs
     arm = float(np.linalg.norm(hubs[:, :2], axis=1).mean())
     scale = arm / 0.17  # everything that the vehicle does not tell is in proportion to its arms
@@ -34,7 +34,7 @@ def _shape(
 
 
 def _body(s: float, plane: float) -> list[dict[str, object]]:
-    """Centre stack: battery below, plates, flight computer, a dome, and the two lights."""
+    """Return the shapes of the body: battery, plates, flight computer, dome and two lights."""
     z = plane - 0.024 * s
     return [
         _shape("cylinder", [0.048 * s, 0.0022 * s], [0, 0, z - 0.006 * s], "carbon"),
@@ -75,7 +75,7 @@ def _arm(hub: ArrayLike, s: float, material: str) -> list[dict[str, object]]:
 def _rotor(
     hub: ArrayLike, radius: float, s: float, spin_phase: float, blade_pitch: float
 ) -> list[dict[str, object]]:
-    """Two pitched blades, a hub, and the disc that a turning propeller looks like."""
+    """Return the shapes of a rotor: two pitched blades, a hub, and the disc of a spinning propeller."""
     x, y, z = np.asarray(hub, dtype=float)
     shapes = [
         _shape("cylinder", [radius, 0.0006 * s], [x, y, z], "blur", castshadow=False),

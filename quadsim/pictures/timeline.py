@@ -1,4 +1,4 @@
-"""What viewers show of a flight: poses, traces and spikes in time, and the files that hold them."""
+"""Poses, traces and spikes of a flight over time, and their files for viewers."""
 
 import errno
 import importlib
@@ -23,7 +23,7 @@ BODY = "body"
 """Name of the true pose."""
 COLOURS = {"true": (237, 92, 23), "target": (25, 190, 76), "wind": (150, 110, 240)}
 PALETTE = (25, 140, 242), (240, 190, 40), (90, 200, 120), (220, 110, 190), (110, 210, 220), (170, 170, 170)
-"""Colours of estimators, and of curves that are not of one, by their order."""
+"""Colours of estimators and of other curves, in order."""
 
 
 class Trace(NamedTuple):
@@ -31,30 +31,30 @@ class Trace(NamedTuple):
 
     unit: str
     curves: Mapping[str, Array]
-    """By their labels, (T,); NaN where there is no value."""
+    """Curves by label, (T,) each; NaN where there is no value."""
 
 
 class Spikes(NamedTuple):
-    """Spikes of a population of neurons, in the order of time."""
+    """Spikes of a population of neurons, in order of time."""
 
     time: Array
-    """(K,) [s]."""
+    """Times of the spikes (K,) [s]."""
     neuron: NDArray[np.int64]
-    """Which neuron, counted from 0, (K,)."""
+    """Index of the neuron of each spike (K,)."""
 
 
 @dataclass(frozen=True)
 class Timeline:
-    """A flight as viewers show it; NaN where something is not known."""
+    """A flight as viewers show it; unknown values are NaN."""
 
     time: Array
-    """(T,) [s]."""
+    """Times of the samples (T,) [s]."""
     vehicle: Vehicle
-    """Whose outline is drawn."""
+    """Vehicle whose outline is drawn."""
     position: Array
-    """In the world, of every pose (T, 3) [m]."""
+    """Position of every pose in world axes (T, 3) [m]."""
     poses: Mapping[str, Array]
-    """quat_WB (T, 4) of the body, if it is known, under the name `BODY`, and by every estimator."""
+    """quat_WB (T, 4) by name: the true one, if known, as `BODY`, and that of every estimator."""
     gyro: Array
     """Readings of the gyroscope (T, 3) [rad/s]."""
     accel: Array
@@ -63,24 +63,25 @@ class Timeline:
     target: Array | None = None
     """Set-point in the world (T, 3) [m]."""
     wind: Array | None = None
-    """In the world (T, 3) [m/s]."""
+    """Wind in world axes (T, 3) [m/s]."""
     spikes: Mapping[str, Spikes] = field(default_factory=dict)
-    """Of spiking networks, by population; none is empty."""
+    """Spikes of spiking networks by population; no population is empty."""
 
 
 def attitudes(
     euler: Array, estimates: Mapping[str, Array], sigmas: Mapping[str, Array]
 ) -> tuple[dict[str, Array], dict[str, Trace]]:
-    """Poses, and traces of roll and pitch, of the truth and of estimators.
+    """Make poses and traces of roll and pitch, for the truth and for estimators.
 
     Args:
         euler: True roll, pitch and yaw (T, 3) [rad]; NaN where not known.
-        estimates: Estimated roll and pitch (T, 2) [rad]; drawn with the true yaw, or else with none.
-        sigmas: Their standard deviations (T, 2) [rad], of estimators that give one.
+        estimates: Estimated roll and pitch (T, 2) [rad]. The poses use the true yaw, or zero yaw if it is
+            unknown.
+        sigmas: Standard deviations of roll and pitch (T, 2) [rad], for estimators that provide them.
 
     Returns:
-        The poses; the traces "roll" and "pitch", and "error of roll" and "error of pitch" where the truth is
-        known.
+        The poses; the traces "roll" and "pitch"; and, if the truth is known, "error of roll" and "error of
+        pitch".
     """
     roll, pitch, yaw = euler.T
     poses = {BODY: quat_from_euler(roll, pitch, yaw)} if np.isfinite(euler).all(axis=1).any() else {}
@@ -104,12 +105,13 @@ def attitudes(
 
 
 def styles(labels: Iterable[str], poses: Iterable[str]) -> list[tuple[tuple[int, int, int], bool]]:
-    """Colours of poses or of curves by their labels, and which of them are beside another curve.
+    """Return colours of poses or curves by label, and which curves accompany another curve.
 
-    Such a one has that curve's label, a space and more, and its colour: "imm plus sigma" is beside "imm".
+    A curve accompanies another one if its label continues that label after a space, and then has the same
+    colour: "imm plus sigma" accompanies "imm".
 
     Args:
-        labels: Of a trace, or of poses.
+        labels: Labels of a trace, or of poses.
         poses: Names of the poses of a timeline.
     """
     labels, estimators = list(labels), [name for name in poses if name != BODY]
@@ -121,12 +123,12 @@ def styles(labels: Iterable[str], poses: Iterable[str]) -> list[tuple[tuple[int,
 
 
 def axes_of(unit: str, vectors: Array) -> Trace:
-    """The trace of a vector (T, 3)."""
+    """Return the trace of a vector (T, 3)."""
     return Trace(unit, dict(zip("xyz", vectors.T, strict=True)))
 
 
 def outline(vehicle: Vehicle, points: int = 25) -> list[Array]:
-    """Polylines in body axes that draw a vehicle [m]: its arms, a nose and its propellers."""
+    """Return polylines in body axes that draw a vehicle's arms, nose and propellers [m]."""
     turn = np.linspace(0.0, 2 * np.pi, points)
     circle = vehicle.frame.prop_radius * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1)
     nose = np.array([[0.0, 0.0, 0.0], [np.linalg.norm(vehicle.hubs, axis=1).max(), 0.0, 0.0]])
@@ -136,7 +138,7 @@ def outline(vehicle: Vehicle, points: int = 25) -> list[Array]:
 
 @contextmanager
 def viewer_files(rerun: Path | None, mcap: Path | None) -> Iterator[Callable[[Timeline], None] | None]:
-    """Check that files for viewers can be written, and give a function that writes them whole.
+    """Check that files for viewers can be written, and return a function that writes them.
 
     Args:
         rerun: File for rerun, .rrd.
@@ -146,9 +148,9 @@ def viewer_files(rerun: Path | None, mcap: Path | None) -> Iterator[Callable[[Ti
         The function; None if no file is given.
 
     Raises:
-        ValueError: Another suffix, or a file that another process writes.
-        OSError: A file cannot be written there.
-        ModuleNotFoundError: The package that writes it is not installed.
+        ValueError: A file has the wrong suffix, or another process is writing it.
+        OSError: A file cannot be written.
+        ModuleNotFoundError: The package that writes a file is not installed.
     """
     wanted = {".rrd": (rerun, "rerun", "rerun_file"), ".mcap": (mcap, "mcap.writer", "mcap_file")}
     files = {}

@@ -1,1 +1,1 @@
-"""How jobs run: files written whole, worker processes, progress, fingerprints for reuse, compilation."""
+"""Running of jobs: atomic writing of files, worker processes, progress, fingerprints, compilation."""

@@ -1,8 +1,8 @@
-"""Numba's `njit`, whose compiled code is kept in files and never older than its source.
+"""Numba's `njit`, with a cache on disk that is never older than the source.
 
-Numba compiles a stored function again when its own file has changed, but not when that of a function that it
-calls, or of a constant, has. Here a digest of all of them is stored with the code. And processes that start
-together would all compile the same functions: here one does, and the others load the result.
+Numba compiles a cached function again if its own file has changed, but not if a called function or a constant
+in another file has changed. This module stores a digest of all these files with the compiled code. In
+addition, if several processes start together, only one compiles a function, and the others load the result.
 """
 
 import atexit
@@ -28,20 +28,21 @@ from .fingerprint import PACKAGES, ROOT, content_digest
 log = logging.getLogger(__name__)
 
 LONGEST_S = 120.0
-"""Time after which a process that waits for another's compilation compiles for itself [s]."""
+"""Longest time that a process waits for the compilation by another process before compiling itself [s]."""
 IMPORT = re.compile(rb"^from (\.*)([\w.]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
 BESIDE = Path(__file__).parent / "__pycache__"
-"""Compiled code of one installation, which can be copied with it."""
+"""Folder of compiled code inside an installation, which can be copied with it."""
 CONSTANT = re.compile(rb"\b[A-Z][A-Z0-9_]+\b")
 
 
 def njit(*function: Callable[..., Any], cache: bool = False, **options: Any) -> Any:
-    """Decorator: compile a function when it is first called; with `cache`, keep the code.
+    """Decorate a function to be compiled on its first call.
 
     Args:
-        function: The function, where the decorator has no options.
-        cache: Whether to store the code; functions that are only called by others need not be stored.
-        options: Numba's.
+        function: The function, if the decorator is used without options.
+        cache: Whether to store the compiled code on disk. Functions that only compiled code calls need no
+            cache.
+        options: Options of Numba's `njit`.
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
@@ -57,11 +58,11 @@ def njit(*function: Callable[..., Any], cache: bool = False, **options: Any) -> 
 
 
 class CacheFolder(caching.UserProvidedCacheLocator):
-    """Where the code of a function is stored, and what source it is of."""
+    """Locates the cached code of a function and the digest of its source."""
 
     @classmethod
     def from_function(cls, py_func: Callable[..., Any], py_file: str) -> "CacheFolder":
-        """The place of a function of this file."""
+        """Return the location for a function in this file."""
         return cls(py_func, py_file)
 
     def __init__(self, py_func: Callable[..., Any], py_file: str) -> None:
@@ -74,19 +75,19 @@ class CacheFolder(caching.UserProvidedCacheLocator):
         self.ensure_cache_path()
 
     def get_source_stamp(self) -> bytes:
-        """Digest of the source of a function and of all that it is compiled with."""
+        """Return the digest of the source of a function and of everything that is compiled with it."""
         path = Path(self._py_file)
         return source_digest(path, path.stat().st_mtime_ns).encode()
 
 
 class Stored(caching.CompileResultCacheImpl):
-    """Numba's format of the files."""
+    """Cache of a function in Numba's file format."""
 
     _locator_classes = (CacheFolder,)
 
 
 class StoredCode(caching.FunctionCache):
-    """Variants of a compiled function; a process that misses one holds the lock until it has compiled it."""
+    """Compiled variants of a function; a process that compiles a variant holds the lock."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._py_func, self._name = function, repr(function)
@@ -112,12 +113,12 @@ class StoredCode(caching.FunctionCache):
 
     @property
     def lock(self) -> FileLock:
-        """The lock of this process: one that was made before a fork is the parent's."""
+        """Return the lock of this process; a lock made before a fork belongs to the parent."""
         path = f"{self._cache_file._index_path}.lock"
         return self._locks.setdefault(os.getpid(), FileLock(path, timeout=LONGEST_S))
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Load a variant; None if it has to be compiled, with the lock held."""
+        """Load a variant; return None and hold the lock if it has to be compiled."""
         found = self._load(sig, target_context)
         if found is None:
             with suppress(Timeout, OSError):
@@ -133,7 +134,7 @@ class StoredCode(caching.FunctionCache):
             return None
 
     def unlocking(self, compile_variant: Callable[..., Any]) -> Callable[..., Any]:
-        """Numba's `Dispatcher.compile`, which loads or compiles a variant; the lock is free at its end."""
+        """Run Numba's `Dispatcher.compile`, which loads or compiles a variant, and release the lock."""
 
         def compiled(sig: Any) -> Any:
             try:
@@ -147,7 +148,7 @@ class StoredCode(caching.FunctionCache):
 
 @cache
 def store() -> Path:
-    """The folder for compiled code: where the user says, beside ours, or in the user's cache."""
+    """Return the folder for compiled code: the user's setting, the installation, or the user's cache."""
     given = os.environ.get("NUMBA_CACHE_DIR")
     for place in [Path(given)] if given else [BESIDE, Path(user_cache_dir("numba", appauthor=False))]:
         if is_writable(place):
@@ -164,7 +165,7 @@ def store() -> Path:
 
 
 def is_writable(folder: Path) -> bool:
-    """Whether a file can be made in a folder, which is made if it is not there."""
+    """Return whether files can be created in a folder; create the folder if necessary."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -175,11 +176,11 @@ def is_writable(folder: Path) -> bool:
 
 @cache
 def source_digest(path: Path, changed_ns: int) -> str:
-    """Digest of a file, of the files of compiled functions and of constants that it imports, and of theirs.
+    """Return the digest of a file and of all files from which it imports compiled functions or constants.
 
     Args:
         path: A file of Python source.
-        changed_ns: When it was changed; another time, another call.
+        changed_ns: Time of the last change, so that a change is not answered from memory.
     """
     found: dict[Path, bytes] = {}
     waiting = [path]
@@ -192,7 +193,7 @@ def source_digest(path: Path, changed_ns: int) -> str:
 
 
 def compiled_with(source: bytes, path: Path) -> Iterator[Path]:
-    """The files of the product that a file imports compiled functions or constants from."""
+    """Return the files of quadsim from which a file imports compiled functions or constants."""
     for dots, module, names in IMPORT.findall(source):
         parts = module.decode().split(".")
         if dots or parts[0] in PACKAGES:

@@ -1,4 +1,4 @@
-"""What is printed on a terminal, and what long work shows there."""
+"""Output on the terminal, and progress bars."""
 
 import sys
 from collections.abc import Iterable, Iterator, Sequence
@@ -23,14 +23,14 @@ output = Console(
 
 
 def say(line: object, style: str | None = None) -> None:
-    """Print a line as it is: it holds no markup, no number is coloured, and it is not wrapped."""
+    """Print a line without markup, colouring of numbers, or wrapping."""
     output.print(str(line), style=style, markup=False, highlight=False, soft_wrap=True)
 
 
 def print_table(
     rows: Iterable[Iterable[object]], headings: Sequence[str] = (), title: str | None = None
 ) -> None:
-    """Print rows of cells below headings, or without any."""
+    """Print rows of cells as a table, with optional headings."""
     table = Table(*headings, title=title, show_header=bool(headings))
     for row in rows:
         table.add_row(*(Text(str(cell)) for cell in row))
@@ -38,7 +38,7 @@ def print_table(
 
 
 class Bar(Protocol):
-    """A progress bar: how much is done of how much, and a remark."""
+    """A progress bar with the finished and total amount and a remark."""
 
     def __call__(self, done: int, total: int, note: str = "") -> None:
         """Move the bar."""
@@ -46,7 +46,7 @@ class Bar(Protocol):
 
 @contextmanager
 def progress_bar(title: str, unit: str) -> Iterator[Bar]:
-    """A progress bar as a callback, with time elapsed and left."""
+    """Show a progress bar with elapsed and remaining time; yield the function that moves the bar."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),

@@ -1,4 +1,4 @@
-"""Files that are whole or absent: every write goes to a temporary name and is renamed."""
+"""Atomic writing: every file is written to a temporary name and then renamed."""
 
 import csv
 import errno
@@ -17,17 +17,18 @@ from .fingerprint import fingerprint
 
 
 def replace(path: str | Path, write: Callable[[Path], object]) -> Path:
-    """Write a file, and the folders above it, so that the path holds what was there or the whole new file.
+    """Write a file atomically; create missing folders.
 
     Args:
         path: The file.
-        write: Writes the path that it is given: a file beside it with the same suffix.
+        write: Function that writes to the path it is given, a temporary file in the same folder with the same
+            suffix.
 
     Returns:
         The path.
 
     Raises:
-        OSError: It cannot be written; nothing has changed.
+        OSError: The file cannot be written; an existing file is not changed.
     """
     path = Path(path)
     _make_folder(path.parent)
@@ -43,13 +44,13 @@ def replace(path: str | Path, write: Callable[[Path], object]) -> Path:
 
 
 def write_whole(path: str | Path, content: str | bytes) -> Path:
-    """Write text in UTF-8, or bytes, as `replace` does."""
+    """Write text in UTF-8, or bytes, atomically."""
     data = content.encode() if isinstance(content, str) else content
     return replace(path, lambda part: part.write_bytes(data))
 
 
 def write_csv(path: str | Path, rows: Sequence[Any]) -> Path:
-    """Write dataclasses or mappings under the union of their keys, as `replace` does; numbers in full."""
+    """Write dataclasses or mappings as CSV atomically, with the union of their keys as columns."""
     rows = [row if isinstance(row, Mapping) else asdict(row) for row in rows]
     columns = list(dict.fromkeys(key for row in rows for key in row))
 
@@ -63,18 +64,18 @@ def write_csv(path: str | Path, rows: Sequence[Any]) -> Path:
 
 
 def write_json(path: str | Path, content: Any) -> Path:
-    """Write what JSON can hold, as `replace` does, beside a digest of it."""
+    """Write JSON data with a checksum atomically."""
     return write_whole(
         path, json.dumps({"digest": fingerprint(content), "content": content}, allow_nan=False)
     )
 
 
 def read_json(path: Path) -> Any:
-    """What `write_json` wrote.
+    """Read a file written by `write_json`.
 
     Raises:
-        OSError: The file is not there, or cannot be read.
-        ValueError: It is damaged, or not such a file.
+        OSError: The file does not exist or cannot be read.
+        ValueError: The file is damaged or has another format.
     """
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
@@ -86,23 +87,23 @@ def read_json(path: Path) -> Any:
 
 
 def save_figure(path: str | Path, figure: "Figure", **options: Any) -> Path:
-    """Write a Matplotlib figure as `replace` does; the path's suffix chooses the format."""
+    """Write a Matplotlib figure atomically; the suffix of the path chooses the format."""
     return replace(path, lambda part: figure.savefig(part, **options))
 
 
 @contextmanager
 def alone(path: Path, wait_s: float = 0.0) -> Iterator[None]:
-    """Hold the file or folder that is written at a path for this process, which may hold it more than once.
+    """Lock an output file or folder for this process, which may lock the same path more than once.
 
-    The lock is a file beside it; of a folder in one that cannot be written, inside it. It is given up when
-    the process ends, however it does.
+    The lock is a file in the same folder or, if that folder is not writable, inside the output folder. The
+    lock is released when the process ends for any reason.
 
     Args:
-        path: The file or folder, there or not.
+        path: The file or folder, which need not exist.
         wait_s: Time to wait for another process [s].
 
     Raises:
-        ValueError: Another process holds it.
+        ValueError: Another process holds the lock.
     """
     whole = path.expanduser().resolve()
     _make_folder(whole.parent)

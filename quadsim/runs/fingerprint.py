@@ -1,4 +1,4 @@
-"""Fingerprints: digests of code, configuration and inputs, by which results are reused."""
+"""Fingerprints: digests of code, configuration and inputs, which decide whether results can be reused."""
 
 import ast
 import hashlib
@@ -13,27 +13,27 @@ from typing import Any, NamedTuple
 PACKAGES = ("quadsim", "estimators", "training", "scenarios", "paper")
 ROOT = Path(__file__).parents[2]
 ASSETS = ROOT / "assets"
-"""Folder of the presets and weights that ship; never one of that name in the working directory."""
+"""Folder of shipped presets and weights; never a folder of the working directory."""
 LIBRARIES = ("mujoco", "numba", "numpy")
-"""Their versions may change results in the last bits; PyTorch's where its optimisers train."""
+"""Libraries whose versions may change the last bits of results; for trainings, PyTorch as well."""
 
 
 def fingerprint(*content: Any) -> str:
-    """Digest of anything that JSON can hold: two jobs with the same one make the same files."""
+    """Return the digest of JSON data. Two jobs with the same fingerprint write the same files."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def content_digest(content: bytes | str) -> str:
-    """SHA-256 of a file's bytes or of a text."""
+    """Return the SHA-256 of bytes or text."""
     return hashlib.sha256(content.encode() if isinstance(content, str) else content).hexdigest()
 
 
 @cache
 def code_digest(*names: str) -> str:
-    """Digest of the code that a job runs, and of the versions of the libraries that it computes with.
+    """Return the digest of the code of a job and of the versions of numerical libraries.
 
     Args:
-        names: Modules, with which all that they import of the product counts; of a package, every module.
+        names: Modules and packages. All modules of quadsim that they import are included.
     """
     files = closure([file for name in names for file in _sources(name)], ROOT, follow=is_of_product)
     found = {file.relative_to(ROOT).as_posix(): file_digest(file) for file in files}
@@ -42,44 +42,44 @@ def code_digest(*names: str) -> str:
 
 
 def file_digest(path: Path) -> str:
-    """Digest of a file: of Python the code alone, without comments and docstrings; else the bytes."""
+    """Return the digest of a file. For Python files, comments and docstrings are ignored."""
     if path.suffix == ".py":
         return read_source(path.read_text("utf-8")).digest
     return content_digest(path.read_bytes())
 
 
 class Source(NamedTuple):
-    """What fingerprints need of Python source."""
+    """Digest and imports of a Python source file."""
 
     digest: str
     imports: frozenset[tuple[int, tuple[str, ...]]]
-    """For each name in an import statement how many packages up it starts, and its parts from there."""
+    """For each imported name, the level of a relative import (0 if absolute) and the parts of the name."""
 
 
 @cache
 def read_source(source: str) -> Source:
-    """Parse source, once for all fingerprints that it counts in."""
+    """Parse source code; the result is cached."""
     tree = ast.parse(source)
     return Source(content_digest(_shape(tree)), frozenset(_imports(tree)))
 
 
 def is_of_product(path: Path) -> bool:
-    """Whether a file is of one of the product's packages."""
+    """Return whether a file belongs to one of quadsim's packages."""
     return any(path.is_relative_to(ROOT / package) for package in PACKAGES)
 
 
 def closure(
     scripts: Iterable[Path], *roots: Path, follow: Callable[[Path], bool] = lambda path: True
 ) -> set[Path]:
-    """The scripts and every file that their import statements load, at whatever depth and in any function.
+    """Return scripts and all files that they import, directly, indirectly or inside functions.
 
-    Modules are looked for beside the file that imports them, where its own package is, and in the roots. A
-    name in more than one of these places counts with all its files.
+    Modules are searched in the folder of the importing file, in the folder of its package, and in the roots.
+    If a name exists in several of these folders, all its files are included.
 
     Args:
-        scripts: Where to begin, whole paths.
-        roots: Other folders that modules and packages are in.
-        follow: Which of the imported files count.
+        scripts: Absolute paths of the first files.
+        roots: Further folders with modules and packages.
+        follow: Predicate that selects the imported files to include.
     """
     found: set[Path] = set()
     waiting = list(scripts)
@@ -92,7 +92,7 @@ def closure(
 
 
 def package_root(path: Path) -> Path:
-    """The folder that the outermost package around a file is in; without a package the file's own folder."""
+    """Return the folder that contains the outermost package of a file, or the file itself."""
     return next(folder for folder in path.parents if not (folder / "__init__.py").is_file())
 
 
@@ -112,7 +112,7 @@ def _imports(tree: ast.Module) -> Iterator[tuple[int, tuple[str, ...]]]:
 
 
 def _imported(path: Path, roots: Iterable[Path]) -> set[Path]:
-    """Files that a file's import statements load; none of what is not Python, which fails when it is run."""
+    """Return the files that a file imports; none if the file is not valid Python."""
     try:
         imports = read_source(importlib.util.decode_source(path.read_bytes())).imports
     except (OSError, ValueError, SyntaxError, RecursionError):
@@ -131,14 +131,14 @@ def _imported(path: Path, roots: Iterable[Path]) -> set[Path]:
 
 
 def _files_of(module: list[str], place: Path) -> list[Path]:
-    """The file of a module below a folder, and the `__init__.py` of each package around it."""
+    """Return the file of a module below a folder, and the `__init__.py` of each package around it."""
     packages = [place.joinpath(*module[:k], "__init__.py") for k in range(1, len(module) + 1)]
     files = [*packages, place.joinpath(*module).with_suffix(".py")] if module else []
     return [path for path in files if path.is_file()]
 
 
 def _shape(node: object) -> str:
-    """A syntax tree as text. Empty fields are left out: Python's versions differ in which there are."""
+    """Return a syntax tree as text, without empty fields, which differ between versions of Python."""
     if isinstance(node, list):
         return "[" + ",".join(_shape(each) for each in node if not _is_docstring(each)) + "]"
     if isinstance(node, ast.Constant):
@@ -150,5 +150,5 @@ def _shape(node: object) -> str:
 
 
 def _is_docstring(node: object) -> bool:
-    """Whether a statement is a string alone, which does nothing."""
+    """Return whether a statement is a string literal."""
     return isinstance(node, ast.Expr) and isinstance(getattr(node.value, "value", None), str)

@@ -1,4 +1,4 @@
-"""Jobs in worker processes that end with their parent: the one loop that waits."""
+"""Jobs in worker processes, which end with their parent."""
 
 import multiprocessing
 import os
@@ -33,10 +33,10 @@ def run_jobs(
     jobs: Mapping[Key, tuple],
     workers: int | None = None,
 ) -> Generator[tuple[Key, Result]]:
-    """As `run_all`, but ends with the first job that fails.
+    """Run jobs as `run_all` does, but stop at the first job that fails.
 
     Raises:
-        ChildProcessError: A worker process died at the same job twice.
+        ChildProcessError: A worker process died twice at the same job.
     """
     with closing(run_all(function, jobs, workers)) as results:
         for key, result in results:
@@ -54,19 +54,20 @@ def run_all(
     *,
     apart: bool = False,
 ) -> Generator[tuple[Key, Result | BaseException]]:
-    """Call a function for every job; a worker process that dies ends no job save the one that it was at.
+    """Call a function for every job. If a worker process dies, only its own job fails.
 
-    A worker that dies breaks its pool. Jobs begin in order, so that it was at one of the first that are
-    unfinished: they run again, in a pool each, and all others in a new one.
+    A worker that dies breaks its pool. Jobs start in order, so the failed job is among the first unfinished
+    ones. These run again, each in its own pool, and all others run in a new pool.
 
     Args:
-        function: Called as function(*job); both must be picklable.
-        jobs: Arguments by key.
-        workers: Processes, by default one for each CPU; 1 stays in this process and runs the jobs in order.
-        apart: Whether even one worker is a process of its own, for code that may end it.
+        function: Called as function(*job); function and arguments must be picklable.
+        jobs: Arguments of each job, by key.
+        workers: Number of processes, by default one per CPU; 1 runs the jobs in order in this process.
+        apart: Whether even a single worker is a separate process, for code that may end the process.
 
     Yields:
-        The key of each job with its result as they end; in place of a result, the exception of a worker.
+        The key of each job with its result, or with the exception of the worker, in the order in which jobs
+        finish.
     """
     workers = process_count(workers, len(jobs))
     if workers == 1 and not apart:
@@ -96,9 +97,10 @@ def run_stored(
     keep: Callable[[Result], bool] = lambda result: True,
     apart: bool = False,
 ) -> Generator[tuple[Path, Result | BaseException]]:
-    """As `run_all`, of jobs by the file of their result, which is read where an earlier run left it whole.
+    """Run jobs as `run_all` does, but store results in files and reuse existing files.
 
-    A file is written as soon as its job ends, in the JSON of `form`, if the result is worth keeping.
+    The keys of the jobs are the files. A file is written in the JSON of `form` as soon as its job ends, if
+    the result should be kept.
     """
     missing = {}
     for file, job in jobs.items():
@@ -117,7 +119,7 @@ def run_stored(
 def _submit(
     pool: ProcessPoolExecutor, function: Callable[..., Result], jobs: Mapping[Key, tuple]
 ) -> Iterator[tuple[Key, Result | BaseException]]:
-    """Run jobs in a pool; yields the exception in place of the result where a job failed."""
+    """Run jobs in a pool; for a failed job, yield the exception instead of a result."""
     running = {pool.submit(function, *job): key for key, job in jobs.items()}
     while running:
         for future in wait_for(running, return_when="FIRST_COMPLETED").done:
@@ -126,7 +128,7 @@ def _submit(
 
 
 def process_count(workers: int | None, jobs: int) -> int:
-    """Processes for so many jobs: as many as asked for, or one for each CPU, but no more than jobs."""
+    """Return the number of processes: as requested or one per CPU, but at most the number of jobs."""
     if workers is not None and workers < 1:
         raise ValueError(f"workers = {workers}: at least 1 is required")
     cpus = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -135,10 +137,10 @@ def process_count(workers: int | None, jobs: int) -> int:
 
 @contextmanager
 def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """Processes that share nothing and end with this one; what has not begun when the block ends never does.
+    """Make a pool of processes that end with this one; pending jobs are cancelled at the end of the block.
 
     Args:
-        workers: How many. Each has one thread for linear algebra: they share the cores among themselves.
+        workers: Number of processes. Each uses one thread for linear algebra.
     """
     if getattr(multiprocessing.current_process(), "_inheriting", False):
         sys.exit(UNGUARDED)
@@ -158,7 +160,7 @@ def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def end_with_parent() -> None:
-    """Let a worker die with its parent, and quietly at Ctrl-C; half a job leaves nothing behind."""
+    """Make a worker end with its parent, and end without a message on Ctrl-C."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     parent = multiprocessing.parent_process()
 

@@ -1,4 +1,4 @@
-"""The record of a run: version, commit, command, date and duration, as reports name them."""
+"""The record of a run: version, commit, command, date and duration."""
 
 import shlex
 import subprocess
@@ -19,21 +19,21 @@ FILE = "run.json"
 
 @dataclass(frozen=True)
 class RunRecord:
-    """How and when a folder of results was made."""
+    """Describes how and when a folder of results was made."""
 
     version: str
     commit: str
-    """Empty without a repository; ends in "-dirty" where it has changes."""
+    """Commit of the code; empty without a repository, and ending in "-dirty" with uncommitted changes."""
     command: str
     date: str
-    """When the run ended, UTC, to the second."""
+    """End of the run, UTC, to the second."""
     wall_s: float
-    """Time that it took, with that of the interrupted runs that it resumed [s]."""
+    """Duration, including interrupted runs that this run resumed [s]."""
 
 
 @contextmanager
 def recorded(folder: Path) -> Iterator[None]:
-    """Write `run.json` into a folder at the end of what is done inside, interrupted or not, if it exists."""
+    """Write `run.json` to a folder, if it exists, at the end of the block or at an interruption."""
     began, folder = time.perf_counter(), folder.expanduser()
     try:
         yield
@@ -48,7 +48,7 @@ def recorded(folder: Path) -> Iterator[None]:
 
 
 def load_record(folder: Path) -> RunRecord | None:
-    """The record of a folder; None where there is none."""
+    """Return the record of a folder; None if there is none."""
     try:
         return RunRecord(**read_json(folder.expanduser() / FILE))
     except (OSError, ValueError, TypeError):
@@ -56,12 +56,12 @@ def load_record(folder: Path) -> RunRecord | None:
 
 
 def command_line() -> str:
-    """The command that this process was started by."""
+    """Return the command that started this process."""
     return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
 
 
 def commit() -> str:
-    """The commit of the code, where it runs from its own repository; "-dirty" where that has changes."""
+    """Return the commit of the code, with "-dirty" for uncommitted changes; empty outside its repository."""
 
     def git(*arguments: str) -> str:
         command = ["git", "-C", str(ROOT), *arguments]

@@ -1,4 +1,4 @@
-"""What would stop an import, or hide a package."""
+"""Corrections of the environment that would break an import or hide a package."""
 
 import logging
 import os
@@ -13,17 +13,17 @@ from .fingerprint import PACKAGES, ROOT
 log = logging.getLogger(__name__)
 
 OPENGL = ("egl", "glfw", "osmesa", "glx", "wgl", "cgl")
-"""What MUJOCO_GL may say: how pictures are made."""
+"""Allowed values of MUJOCO_GL, which selects the renderer."""
 REGISTRY = "gymnasium.envs.registration"
-"""Module of Gymnasium that holds the environments."""
+"""Module of Gymnasium with the registry of environments."""
 SWITCHES = ("", "enable", "enabled", "on", "true", "1", "disable", "disabled", "off", "false", "0")
 
 
 def settle() -> None:
-    """Warn of what MuJoCo cannot be imported with and drop it; find the packages beside this one first.
+    """Remove a setting that would break MuJoCo's import, with a warning, and find quadsim's packages first.
 
-    The environment is registered when Gymnasium is imported, which most commands never do and which takes as
-    long as all else that `quadsim` imports.
+    The environment is registered when Gymnasium is imported. Most commands never import Gymnasium, and its
+    import is slow.
     """
     asked = os.environ.get("MUJOCO_GL", "")
     if asked.strip().lower() not in (*OPENGL, *SWITCHES):
@@ -38,7 +38,7 @@ def settle() -> None:
 
 
 def register_environment(registry: ModuleType) -> None:
-    """Register the environment with Gymnasium, whose module for it is given."""
+    """Register the environment in a module of Gymnasium."""
     registry.register(
         id="quadsim/Quadrotor-v0",
         entry_point="quadsim.env:QuadrotorEnv",
@@ -47,22 +47,22 @@ def register_environment(registry: ModuleType) -> None:
 
 
 class Registry(SourceFileLoader):
-    """Loads the module that holds Gymnasium's environments, and registers ours."""
+    """Loads the registry module of Gymnasium, and registers the environment of quadsim."""
 
     def exec_module(self, module: ModuleType) -> None:
-        """Run the module's code, then register."""
+        """Run the code of the module, then register the environment."""
         super().exec_module(module)
         register_environment(module)
 
 
 class Registering:
-    """Finds the module that holds Gymnasium's environments."""
+    """Finds the registry module of Gymnasium."""
 
     @staticmethod
     def find_spec(
         name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """As `importlib.abc.MetaPathFinder.find_spec`; None for every other name."""
+        """Find a module, as `importlib.abc.MetaPathFinder.find_spec` does; return None for other names."""
         found = PathFinder.find_spec(name, path, target) if name == REGISTRY else None
         if found is None or found.origin is None:
             return None
@@ -70,11 +70,11 @@ class Registering:
 
 
 class Neighbours:
-    """Finds the packages beside this one before folders of their names in the working directory."""
+    """Finds the packages of quadsim before folders with the same names in the working directory."""
 
     @staticmethod
     def find_spec(
         name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """As `importlib.abc.MetaPathFinder.find_spec`; None for every other name."""
+        """Find a module, as `importlib.abc.MetaPathFinder.find_spec` does; return None for other names."""
         return PathFinder.find_spec(name, [str(ROOT)], target) if name in (*PACKAGES, "assets") else None

@@ -1,1 +1,1 @@
-"""Trajectories: a kind of manoeuvre from TOML goes in, an array of set-points (n, steps, 11) comes out."""
+"""Trajectories: set-points (n, steps) from kinds of manoeuvres in TOML files."""

@@ -1,4 +1,4 @@
-"""Random manoeuvres: records of segments and turns, evaluated by one compiled function."""
+"""Random manoeuvres: records of segments and heading turns, evaluated by one compiled function."""
 
 import math
 
@@ -23,7 +23,7 @@ SEGMENT = np.dtype(
     ]
 )
 TURN = np.dtype([("start", "f8"), ("length", "f8"), ("angle", "f8")])
-"""A turn of the heading [s, s, rad]."""
+"""A turn of the heading: start [s], duration [s], angle [rad]."""
 _DASH, _LOOP, _PAUSE, _JUMP, _CRUISE = range(5)
 UP = np.array([0.0, 0.0, 1.0])
 _DASH_PEAK = 84 * math.sqrt(5) / 25  # largest |s''| of the rest-to-rest polynomial of degree 7
@@ -31,7 +31,7 @@ _RAMP_PEAK = 35 / 16  # its largest |s'|
 
 
 def mix_segments(spec: Mix, end: float, rng: np.random.Generator) -> NDArray[np.void]:
-    """Manoeuvres of a mix until an end [s], records of `SEGMENT`."""
+    """Draw the manoeuvres of a mix until an end time [s], records of `SEGMENT`."""
     rows: list[tuple[object, ...]] = []
     clock, where = 0.0, np.zeros(3)
     shares = (spec.pause_share, spec.circle_share, spec.jump_share, spec.eight_share, spec.cruise_share)
@@ -82,20 +82,20 @@ def mix_segments(spec: Mix, end: float, rng: np.random.Generator) -> NDArray[np.
 
 
 def _axes(heading: float) -> tuple[Array, Array]:
-    """Horizontal unit vectors ahead and to the left."""
+    """Return the horizontal unit vectors ahead and to the left."""
     cos, sin = math.cos(heading), math.sin(heading)
     return np.array([cos, sin, 0.0]), np.array([-sin, cos, 0.0])
 
 
 def _homewards(where: Array, radius: float, heading: float, rng: np.random.Generator) -> float:
-    """The heading, or beyond `radius` about that to the centre [rad]."""
+    """Return the heading; beyond `radius`, a random heading roughly towards the centre [rad]."""
     if np.linalg.norm(where[:2]) > radius:
         return math.atan2(-where[1], -where[0]) + rng.uniform(-0.5, 0.5)
     return heading
 
 
 def turns(max_rate: float, end: float, rng: np.random.Generator) -> NDArray[np.void]:
-    """Turns of the heading, records of `TURN`; none at a rate of 0."""
+    """Draw turns of the heading, records of `TURN`; none at a rate of 0."""
     rows, clock = [], 0.0
     while clock < end and max_rate > 0:
         length = rng.uniform(1.0, 4.0)
@@ -107,7 +107,7 @@ def turns(max_rate: float, end: float, rng: np.random.Generator) -> NDArray[np.v
 
 @njit(cache=True)
 def rest_to_rest(s):
-    """35 s⁴ − 84 s⁵ + 70 s⁶ − 20 s⁷ and its first two derivatives: minimum snap from rest to rest."""
+    """Return 35 s⁴ − 84 s⁵ + 70 s⁶ − 20 s⁷, minimum snap from rest to rest, and its first two derivatives."""
     t = 1.0 - s
     value = s**4 * (35.0 + s * (-84.0 + s * (70.0 - 20.0 * s)))
     return value, 140.0 * s**3 * t**3, 420.0 * s**2 * t**2 * (t - s)
@@ -115,13 +115,13 @@ def rest_to_rest(s):
 
 @njit(cache=True)
 def _ramp_way(s):
-    """Integral of the first of them, 0 to 1/2."""
+    """Return the integral of the polynomial of `rest_to_rest`, from 0 to 1/2."""
     return s**5 * (7.0 + s * (-14.0 + s * (10.0 - 2.5 * s)))
 
 
 @njit(cache=True)
 def fly_segments(segments, turns, time, out):
-    """Write the set-points of segments and turns at times (T,) to out (T,), whose first has the place."""
+    """Write set-points of segments and turns at times (T,) to out (T,), whose first has the position."""
     base = np.empty(3)
     for i in range(3):
         base[i] = out[0].position[i]

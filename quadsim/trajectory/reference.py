@@ -1,4 +1,4 @@
-"""References: a trajectory as set-points (n, steps), records of `quadsim.control.records.SET_POINT`."""
+"""Trajectories as set-points (n, steps), records of `quadsim.control.records.SET_POINT`."""
 
 import math
 from collections.abc import Sequence
@@ -28,19 +28,19 @@ Seeds = Sequence[np.random.SeedSequence]
 
 
 def reference(spec: Trajectory, steps: int, rate_hz: float, seeds: Seeds) -> SetPoints:
-    """Set-points for one flight per seed.
+    """Compute the set-points of one flight per seed.
 
     Args:
-        spec: What to fly.
+        spec: The trajectory.
         steps: Number of samples.
         rate_hz: Samples per second.
-        seeds: One per flight; a flight depends on its own alone.
+        seeds: One per flight; a flight depends only on its own seed.
 
     Returns:
         (n, steps) records of `SET_POINT`, read-only.
 
     Raises:
-        ValueError: If a user's function fails.
+        ValueError: A user's function fails.
     """
     time = np.arange(steps) / rate_hz
     drawn = isinstance(spec, Mix) or (isinstance(spec, Waypoints) and not spec.points)
@@ -92,7 +92,7 @@ def _add_lissajous(spec: Lissajous, time: Array, out: SetPoints) -> None:
 
 
 def _minimum_snap(points: Array, speed: float, time: Array) -> SetPoints:
-    """Degree-7 spline through the points, derivatives 1 to 3 zero at both ends, run back, and repeated."""
+    """Interpolate the points by a spline of degree 7, at rest at both ends; fly back, and repeat."""
     from scipy.interpolate import make_interp_spline  # scipy.interpolate takes a tenth of a second
 
     loop = points if np.allclose(points[0], points[-1]) else np.vstack([points, points[-2::-1]])
@@ -113,7 +113,7 @@ def _minimum_snap(points: Array, speed: float, time: Array) -> SetPoints:
 
 
 def _from_function(name: str, time: Array) -> SetPoints:
-    """Set-points of a user's function, on a cubic spline that is at rest at both ends."""
+    """Return the set-points of a user's function, on a cubic spline that is at rest at both ends."""
     from scipy.interpolate import CubicSpline
 
     fly = load_own(name)

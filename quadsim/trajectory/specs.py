@@ -1,4 +1,4 @@
-"""Kinds of trajectory: small typed models, chosen by `kind` in TOML; random ones are drawn per flight."""
+"""Kinds of trajectory, chosen by `kind` in TOML. Random trajectories are drawn for each flight."""
 
 from typing import Annotated, Literal
 
@@ -16,20 +16,20 @@ Multiple = Annotated[int, Between(-100, 100)]
 
 
 class Placed(Strict):
-    """A trajectory that is somewhere."""
+    """A trajectory with a position."""
 
     position: Position = Field(default=(0.0, 0.0, 2.0), description="Start or centre of the trajectory [m].")
 
 
 class Hover(Placed):
-    """Hold one position."""
+    """Hover at one position."""
 
     kind: Literal["hover"] = "hover"
     yaw_deg: Heading = Field(default=0.0, description="Heading [deg].")
 
 
 class Step(Placed):
-    """Hover, then jump: the set-point jumps to another position and back."""
+    """Hover, with a set-point that jumps to another position and back."""
 
     kind: Literal["step"] = "step"
     offset: Position = Field(default=(2.0, 0.0, 0.0), description="Size of the jump [m].")
@@ -48,7 +48,10 @@ class Move(Placed):
 
 
 class Lissajous(Placed):
-    """Sinusoids on the three axes, which grow over one period; frequencies 1 : 2 give a figure of eight."""
+    """Sinusoids on three axes, whose amplitudes grow during the first period.
+
+    Frequencies 1 : 2 give a figure of eight.
+    """
 
     kind: Literal["lissajous"] = "lissajous"
     amplitude: Position = Field(default=(3.0, 1.5, 0.0), description="Amplitudes [m].")
@@ -59,10 +62,10 @@ class Lissajous(Placed):
 
 
 class Waypoints(Strict):
-    """Minimum-snap trajectory through waypoints, at rest at both ends; repeated until the flight ends.
+    """Minimum-snap trajectory through waypoints, at rest at both ends, repeated until the flight ends.
 
-    For given times the curve that minimises ∫ ‖d⁴x/dt⁴‖² is the interpolating spline of degree 7
-    (Mellinger & Kumar 2011); times follow from distance over speed.
+    For given times, the curve that minimises ∫ ‖d⁴x/dt⁴‖² is the interpolating spline of degree 7 (Mellinger
+    & Kumar 2011). The times follow from distance and speed.
     """
 
     kind: Literal["waypoints"] = "waypoints"
@@ -85,10 +88,10 @@ class Waypoints(Strict):
 
 
 class Mix(Strict):
-    """Random aggressive flight that fills the envelope: dashes, circles, eights, jumps, cruises, stops.
+    """Random aggressive flight: dashes, circles, figures of eight, jumps, cruises and stops.
 
-    A dash is a rest-to-rest move whose tilt swings once each way, like an attitude doublet; peaks are drawn
-    up to `max_tilt_deg`, so the standard deviation of roll and pitch is about 0.25 rad.
+    A dash is a rest-to-rest motion that tilts once in each direction, like an attitude doublet. Its peak tilt
+    is drawn up to `max_tilt_deg`. The standard deviation of roll and pitch is about 0.25 rad.
     """
 
     kind: Literal["mix"] = "mix"
@@ -137,9 +140,10 @@ class Mix(Strict):
 
 
 class OwnFunction(Strict):
-    """A user's function of time, splined between the samples for velocity and acceleration.
+    """Set-points from a user's function of time; splines give velocity and acceleration.
 
-    Called with times (T,) [s], it returns x, y, z [m] and, if wanted, yaw [rad], shape (T, 3) or (T, 4).
+    The function is called with times (T,) [s]. It returns x, y, z [m] and optionally yaw [rad], shape (T, 3)
+    or (T, 4).
     """
 
     kind: Literal["function"] = "function"

@@ -1,1 +1,1 @@
-"""The benchmark: scenarios × estimators × seeds go in; metrics and a verdict come out."""
+"""The closed-loop benchmark: scenarios × estimators × seeds, with metrics and a verdict."""

@@ -1,4 +1,4 @@
-"""One cell of the benchmark: a scenario simulated with one estimator and many seeds, and its file."""
+"""A cell of the benchmark: a scenario simulated with one estimator and several seeds."""
 
 import time
 from dataclasses import dataclass, field, replace
@@ -29,17 +29,17 @@ BOUNDLESS = 1e100
 
 @dataclass(frozen=True)
 class FlightSettings:
-    """How every cell is simulated."""
+    """Settings for all cells."""
 
     seeds: int = 1
-    """Flights in each cell; flight i has the i-th child of `seed`."""
+    """Number of flights in each cell. Flight i uses the i-th child of `seed`."""
     seed: int = 0
-    """Seed of everything random."""
+    """Seed of all random numbers."""
     rate_hz: float = 200.0
     """Samples per second."""
     tuning: str | None = None
-    """Tuned parameters in place of the shipped ones: a shipped domain or a file of `quadsim tune`; estimators
-    without a table in it keep theirs."""
+    """Tuned parameters: a shipped domain or a file written by `quadsim tune`. Estimators without a table in
+    the file use their default parameters."""
 
     def __post_init__(self) -> None:
         """Check the number of flights."""
@@ -49,32 +49,33 @@ class FlightSettings:
 
 @dataclass(frozen=True)
 class Cell:
-    """Result of one cell."""
+    """Result of a cell."""
 
     scenario: str
     estimator: str
     reason: str = ""
-    """Why it did not run; empty if it did."""
+    """Why the cell did not run; empty if it ran."""
     flights: list[dict[str, Any]] = field(default_factory=list)
-    """Of each seed the columns `flight_metrics.FLIGHT`; None without a value."""
+    """Columns `flight_metrics.FLIGHT` of each flight; None without a value."""
     histogram: list[int] = field(default_factory=list)
-    """Counts of the errors, as in `flight_metrics.error_histogram`."""
+    """Histogram of the errors, as in `flight_metrics.error_histogram`."""
     series: FlightSeries | None = None
-    """The first seed in time."""
+    """Time series of the first flight."""
     receives_truth: bool = False
-    """Whether the estimator was fed the true attitude: a reference, which is not ranked."""
+    """Whether the estimator is given the true attitude. Such an estimator is a reference and is not
+    ranked."""
     flaw: str = ""
-    """Why its estimates must not be ranked, as `estimators.metrics.flaw_of` says; empty if they may."""
+    """Why the estimates must not be ranked, as in `estimators.metrics.flaw_of`; empty if they may be."""
     cpu_s: float = field(default=0.0, compare=False)
-    """Processor time that it took [s]."""
+    """CPU time [s]."""
 
 
 CELL = TypeAdapter(Cell)
-"""Writes a cell as JSON, and reads it."""
+"""Converts a cell to JSON and back."""
 
 
 def fly_cell(name: str, scenario: Scenario, estimator: str, settings: FlightSettings) -> Cell:
-    """Simulate all flights of a cell at once; a failure is a cell with its reason."""
+    """Simulate all flights of a cell; a failure gives a cell with the reason."""
     began = time.thread_time()
     try:
         tuning = tuning_of(estimator, settings.tuning)
@@ -87,19 +88,19 @@ def fly_cell(name: str, scenario: Scenario, estimator: str, settings: FlightSett
 
 
 def tuning_of(estimator: str, tuning: str | None) -> str | None:
-    """The tuning that holds for an estimator: the file that was given, where it has a table for it.
+    """Return the given tuning file if it has a table for an estimator; None otherwise.
 
     Raises:
-        ValueError: The file cannot be read.
+        ValueError: The tuning file cannot be read.
     """
     return tuning if tuning is not None and estimator_of(estimator) in load_tuning(tuning) else None
 
 
 def mission_of(scenario: Scenario, contender: str, settings: FlightSettings) -> Mission:
-    """The flights of a scenario with an estimator and its controller.
+    """Make the mission of a scenario with an estimator and a controller.
 
     Raises:
-        ValueError: One of them cannot be made.
+        ValueError: Estimator or controller cannot be made.
     """
     if (name := estimator_of(contender)) in AUTOPILOTS:
         autopilot = Betaflight(load_vehicle(scenario.vehicle), settings.rate_hz, name)
@@ -114,10 +115,10 @@ def mission_of(scenario: Scenario, contender: str, settings: FlightSettings) -> 
 
 
 def make_cell(name: str, estimator: str, mission: Mission, flown: Flown) -> Cell:
-    """The cell of a simulated mission.
+    """Make the cell of a simulated mission.
 
     Raises:
-        ValueError: If an estimate is no angle, or numbers of the flight diverged.
+        ValueError: An estimate is not an angle, or a flight diverged.
     """
     log, end = flown.log, flown.end
     before = np.arange(mission.steps) < end[:, None]

@@ -1,8 +1,8 @@
 """Experiments: grids of scenarios, conditions and seeds, as TOML files in `scenarios/experiments`.
 
-A design over axes is a Latin hypercube (McKay, Beckman & Conover 1979), of which scipy keeps the one that
-covers pairs of axes most evenly: every level is flown equally often, beside every level of the others about
-equally often, so that the mean over the flights of a level is its main effect.
+A design over axes is a Latin hypercube (McKay, Beckman & Conover 1979), optimised by SciPy to cover pairs of
+axes evenly. Every level is flown equally often, and about equally often with every level of the other axes,
+so that the mean over the flights of a level is its main effect.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,40 +21,40 @@ from quadsim.held_out import HeldOut, load_held_out, releases
 
 FOLDER = "scenarios/experiments"
 Levels = Mapping[str, str]
-"""Axis to level."""
+"""Level by axis."""
 Knowledge = Literal["airframe", "initial attitude"]
-"""What an estimator may be given beside readings."""
+"""Quantities other than readings that an estimator can be given."""
 
 
 class Condition(Strict):
-    """Levels of an axis for which the verdict has a clause of its own."""
+    """Levels of an axis for which the verdict has a separate clause."""
 
     name: str
-    """Begins its line, "With known drag"."""
+    """Start of the clause's line, such as "With known drag"."""
     clause: str
-    """Its end of the headline, "if the airframe's drag is known"."""
+    """End of the clause in the headline, such as "if the airframe's drag is known"."""
     axis: str
     levels: tuple[str, ...]
 
 
 class Sweep(Strict):
-    """One number of a scenario at several levels, to see where flights crash."""
+    """A number of a scenario at several levels, to find the level at which flights crash."""
 
     unit: str = ""
     scenario: str
-    """Shipped scenario whose fields are changed."""
+    """Shipped scenario that is changed."""
     fields: dict[str, Any]
-    """What replaces those of the scenario at the level 1."""
+    """Fields that replace those of the scenario, at level 1."""
     scaled: str
-    """The number or vector in them that is multiplied by the level, as "faults.0.gyro_deg"."""
+    """Path of the number or vector that is multiplied by the level, such as "faults.0.gyro_deg"."""
     levels: tuple[Annotated[float, Between(0.0, 1e6)], ...]
-    """From the least to the largest."""
+    """Levels in increasing order."""
 
     def at(self, level: float) -> Scenario:
-        """The scenario at a level.
+        """Return the scenario at a level.
 
         Raises:
-            ValueError: A value that a field cannot have.
+            ValueError: A value is not valid for its field.
         """
         fields: Any = deepcopy(self.fields)
         place = fields
@@ -69,37 +69,39 @@ class Sweep(Strict):
 
 
 class Experiment(Strict):
-    """What is flown, besides the estimators."""
+    """An experiment: scenarios, conditions and seeds."""
 
     description: str
     scenarios: tuple[str, ...] = ()
-    """Shipped names or paths; all that ship where left out."""
+    """Shipped names or paths of scenarios; by default, all shipped ones."""
     seeds: Annotated[int, Between(1, 10_000)] = 10
-    """Flights of each estimator in each scenario."""
+    """Number of flights of each estimator in each scenario."""
     seed: Annotated[int, Between(0, 2**63 - 1)] | None = None
-    """Seed of everything random, where it may not be chosen."""
+    """Seed of all random numbers, if the user cannot choose it."""
     axes: dict[str, dict[str, dict[str, Any]]] = Field(default_factory=dict)
-    """Of each axis its levels, and the fields of a scenario that they set; faults are added to its own."""
+    """Levels of each axis, and the fields of a scenario that they set; faults are added to those of the
+    scenario."""
     combinations: Annotated[int, Between(0, 100_000)] = 0
-    """Combinations of levels and scenarios that are flown."""
+    """Number of combinations of levels and scenarios."""
     conditions: tuple[Condition, ...] = ()
     always: str = ""
-    """End of the headline where the same is best on all conditions, "whether ... is known or not"."""
+    """End of the headline if the same estimator is best in all conditions, such as "whether ... is known or
+    not"."""
     sweeps: dict[str, Sweep] = Field(default_factory=dict)
     like: str = ""
-    """Experiment whose axes and conditions it has."""
+    """Experiment from which axes and conditions are taken."""
     held_out: bool = False
-    """Whether scenarios, seed and flights are those of a held-out suite."""
+    """Whether scenarios, seed and number of flights are those of a held-out suite."""
     release: str = ""
-    """Of the held-out suite; the newest where it is left out."""
+    """Release of the held-out suite; by default, the newest."""
     given: tuple[Knowledge, ...] | None = None
-    """What estimators are given in every flight; None: what each scenario says."""
+    """Quantities that estimators are given in every flight; None: as defined by each scenario."""
 
     def cases(self, scenarios: Sequence[str | Path] | None = None) -> "dict[str, Case]":
-        """What is flown, by name, in these scenarios or in its own.
+        """Return the cases by name, for the given scenarios or those of the experiment.
 
         Raises:
-            ValueError: No such scenario, one that a level does not fit, or two of one name.
+            ValueError: A scenario does not exist, a level does not fit, or two scenarios have the same name.
         """
         found = self._cases(scenarios)
         if self.given is not None:
@@ -148,7 +150,7 @@ class Experiment(Strict):
 
 
 class Case(NamedTuple):
-    """One scenario of an experiment."""
+    """A scenario of an experiment, with its levels."""
 
     scenario: Scenario
     levels: Levels  #: of each axis, "scenario" among them, or of a sweep; empty without any
@@ -158,10 +160,10 @@ SUITE = Experiment(description="Scenarios as they stand.")
 
 
 def load_experiment(source: str | Path) -> Experiment:
-    """A shipped experiment by its name, or the one in a TOML file.
+    """Load an experiment by its shipped name or from a TOML file.
 
     Raises:
-        ValueError: One line with the file, the key, its value and what is allowed.
+        ValueError: The file is invalid; the message names the key, its value and the allowed values.
     """
     found = load_toml(source, FOLDER, Experiment)
     update: dict[str, Any] = {}
@@ -182,20 +184,20 @@ def load_experiment(source: str | Path) -> Experiment:
 
 
 def of_release(experiment: Experiment, release: str) -> Experiment:
-    """A held-out experiment with the suite of a release.
+    """Return a held-out experiment with the suite of a release.
 
     Raises:
-        ValueError: The release has none.
+        ValueError: The release has no suite.
     """
     suite = load_held_out(release)
     return experiment.model_copy(update={"release": release, "seeds": suite.flights, "seed": suite.seed})
 
 
 def with_levels(base: Scenario, levels: Levels, axes: Mapping[str, Mapping[str, Any]]) -> Scenario:
-    """A scenario with what levels of axes set; faults are added to its own.
+    """Return a scenario with the levels of axes; their faults are added to those of the scenario.
 
     Raises:
-        ValueError: A level that does not fit.
+        ValueError: A level does not fit the scenario.
     """
     fields, said = base.model_dump(), []
     for axis, level in levels.items():
@@ -214,7 +216,7 @@ HEIGHT_M = 12.0
 
 
 def draw(held_out: HeldOut, axes: Mapping[str, Mapping[str, Any]]) -> dict[str, Case]:
-    """The scenarios of a held-out suite, with their levels; the kind of flight is that of "scenario"."""
+    """Draw the scenarios of a held-out suite, with their levels."""
     width = len(str(held_out.scenarios - 1))
     return {
         f"held-out-{k:0{width}}": _draw(held_out, [held_out.seed, k], axes) for k in range(held_out.scenarios)

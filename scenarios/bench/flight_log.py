@@ -1,6 +1,6 @@
-"""What is logged of flights: every sample for the metrics, and of the first flight the signals of the report.
+"""Logs of flights: every sample for the metrics, and signals of the first flight for the report.
 
-Signals are what is behind an estimate: readings, biases, wind, rotor commands, the estimator's own σ.
+Signals are readings, biases, wind, rotor commands and the estimator's standard deviation.
 """
 
 import math
@@ -26,11 +26,11 @@ VECTORS = ("gyro", "accel", "bias", "bias_est", "wind")
 """Signals with three axes: gyroscope [deg/s], accelerometer [m/s²], gyroscope bias in the readings and as
 estimated [deg/s], wind in world axes [m/s]."""
 SHARED = tuple(f"{name}_{axis}" for name in ("bias", "wind") for axis in "xyz")
-"""Signals that are the same with every estimator: they depend on seed and time alone."""
+"""Signals that depend only on seed and time, and not on the estimator."""
 
 
 class Flown(NamedTuple):
-    """The flights of a mission."""
+    """Logs of the flights of a mission."""
 
     log: Log  #: (n, T) of `log_dtype`; what follows a crash means nothing
     end: NDArray[np.int64]  #: samples of each flight before its crash, (n,); T without one
@@ -41,7 +41,7 @@ class Flown(NamedTuple):
 
 @cache
 def log_dtype(rotors: int) -> np.dtype[np.void]:
-    """One sample of a flight's log."""
+    """Return the record type of a sample in the log."""
     return np.dtype(
         [
             ("position", "f8", 3),  # world [m]
@@ -57,10 +57,10 @@ def log_dtype(rotors: int) -> np.dtype[np.void]:
 
 
 def fly(mission: Mission, seed: int, first: int = 0, *, every_sample: bool = False) -> Flown:
-    """Simulate a mission; its flights are those with the numbers `first`, `first` + 1, ... of the seed.
+    """Simulate a mission, whose flights have the numbers `first`, `first` + 1, ... of the seed.
 
-    Signals are taken at `SERIES_HZ`, or at every sample. However it ends, its estimator is closed if it has
-    a `close`.
+    Signals are recorded at `SERIES_HZ` or at every sample. An estimator with a `close` is always closed at
+    the end.
     """
     try:
         return _fly(mission, seed, first, every_sample)
@@ -92,7 +92,7 @@ def _fly(mission: Mission, seed: int, first: int, every_sample: bool) -> Flown:
 
 
 def _signals(mission: Mission, added_bias: Array) -> Array:
-    """The signals of the first flight at this sample, with the gyroscope bias that faults add [rad/s]."""
+    """Return the signals of the first flight at this sample, including biases by faults [rad/s]."""
     return np.concatenate(
         [
             np.degrees(mission.readings.gyro[0]),
@@ -107,7 +107,7 @@ def _signals(mission: Mission, added_bias: Array) -> Array:
 
 
 def _own(estimator: AttitudeEstimator | None, name: str, n: int, width: int) -> Array:
-    """What an estimator of n vehicles knows of the first, (width,); NaN if it does not estimate that."""
+    """Return a quantity that an estimator estimates for the first vehicle, (width,); NaN if it does not."""
     try:
         found = np.asarray(getattr(estimator, name, np.nan), dtype=np.float64)
     except (TypeError, ValueError):  # a user's attribute of that name that means something else
@@ -117,9 +117,9 @@ def _own(estimator: AttitudeEstimator | None, name: str, n: int, width: int) -> 
 
 @njit(cache=True)
 def write_row(loops, last_command, row):
-    """Write one sample of n flights into `row` (n,), and the command into `last_command` (n, rotors).
+    """Write one sample of n flights to `row` (n,), and the command to `last_command` (n, rotors).
 
-    loops: (n,) records of `quadsim.flight.world.loop_dtype`.
+    `loops` are (n,) records of `quadsim.flight.world.loop_dtype`.
     """
     for i in range(row.shape[0]):
         out, p, c, target = row[i], loops[i].vehicle, loops[i].controller, loops[i].flight.target

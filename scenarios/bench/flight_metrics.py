@@ -1,6 +1,7 @@
 """Metrics of flights from their logs.
 
-`log` is (n, T) of `flight_log.log_dtype`, `end` (n,) the samples before each crash; later ones do not count.
+`log` (n, T) has the type `flight_log.log_dtype`. `end` (n,) is the number of samples before a crash; later
+samples are not used.
 """
 
 import warnings
@@ -17,15 +18,15 @@ from .flight_log import Log
 Array = NDArray[np.float64]
 
 CONVERGED_DEG = 5.0
-"""Inclination error below which an estimate counts as converged [deg],"""
+"""Inclination error below which an estimate counts as converged [deg]."""
 CONVERGED_S = 1.0
-"""if it stays there for this long [s]."""
+"""Time for which the error must stay below `CONVERGED_DEG` [s]."""
 OUT_OF_BOUNDS_M = 0.5
 """Distance from the set-point beyond which a vehicle counts as out of bounds [m]."""
 ERROR_DECADES = (-3.0, 2.3)
-"""Range of the error histograms, powers of ten of a degree,"""
+"""Range of the error histograms, as powers of ten of a degree."""
 ERROR_BINS = 106
-"""and how many equal parts it has."""
+"""Number of equal parts of the error histograms."""
 
 
 @dataclass(frozen=True)
@@ -68,11 +69,11 @@ MEASURED = [metric for metric in METRICS if metric.key != "crash_rate"]
 """Metrics of a single flight."""
 KEYS = ["scenario", "estimator"]
 FLIGHT = ["seed", "cause", "flown_s", *(metric.key for metric in MEASURED)]
-"""Columns of a flight: its number, why it crashed (empty if it did not), its length, its metrics."""
+"""Columns of a flight: number, cause of a crash (empty without one), duration, and metrics."""
 
 
 def flight_metrics(log: Log, end: NDArray[np.int64], rate_hz: float, vehicle: Vehicle) -> dict[str, Array]:
-    """Every metric of each flight, (n,), by the keys of `MEASURED`; NaN where it has no value."""
+    """Compute every metric of each flight, (n,), by the keys of `MEASURED`; NaN without a value."""
     valid = log.copy()
     valid[np.arange(log.shape[1]) >= np.maximum(end, 1)[:, None]] = np.nan
     estimate, truth = valid["estimate"], valid["euler"][..., :2]
@@ -94,7 +95,10 @@ def flight_metrics(log: Log, end: NDArray[np.int64], rate_hz: float, vehicle: Ve
 
 
 def convergence_time(inclination_deg: Array, rate_hz: float) -> Array:
-    """When the error (n, T) [deg] is first below `CONVERGED_DEG` for `CONVERGED_S`, (n,) [s]; or NaN."""
+    """Return when the error (n, T) [deg] is first below `CONVERGED_DEG` for `CONVERGED_S`, (n,) [s].
+
+    Or NaN.
+    """
     steps = max(round(CONVERGED_S * rate_hz), 1)
     if inclination_deg.shape[1] < steps:
         return np.full(len(inclination_deg), np.nan)
@@ -104,10 +108,10 @@ def convergence_time(inclination_deg: Array, rate_hz: float) -> Array:
 
 
 def recovery_time(distance: Array, complete: NDArray[np.bool_], rate_hz: float) -> Array:
-    """The longest time beyond `OUT_OF_BOUNDS_M` before it came back, (n,) [s]; NaN where it did not.
+    """Return the longest time beyond `OUT_OF_BOUNDS_M` before a return, (n,) [s]; NaN without a return.
 
-    Not counted as back: a flight out of bounds for the last second. `distance` (n, T) is from the set-point
-    [m]; `complete` (n,) are flights that lasted to their end.
+    A flight that is out of bounds during its last second has not returned. `distance` (n, T) is the distance
+    from the set-point [m]; `complete` (n,) marks flights of full length.
     """
     longest, spell = np.zeros((2, len(distance)))
     for outside in (distance > OUT_OF_BOUNDS_M).T:
@@ -117,7 +121,7 @@ def recovery_time(distance: Array, complete: NDArray[np.bool_], rate_hz: float) 
 
 
 def error_histogram(log: Log, end: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Counts of the absolute errors of roll and pitch over `ERROR_BINS` equal parts of `ERROR_DECADES`."""
+    """Count the absolute errors of roll and pitch in `ERROR_BINS` equal parts of `ERROR_DECADES`."""
     before = np.arange(log.shape[1]) < end[:, None]
     errors = absolute_error(log["estimate"], log["euler"][..., :2])[before]
     decades = np.log10(np.maximum(errors, 1e-12)).clip(*ERROR_DECADES)

@@ -1,4 +1,4 @@
-"""Flights in time, small enough for a page: decimated, and packed into 16-bit integers."""
+"""Time series of flights for reports, decimated and packed into 16-bit integers."""
 
 import base64
 import zlib
@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 SERIES_HZ = 25.0
-"""Samples per second of the time series that are stored for plots."""
+"""Samples per second of the stored time series."""
 MISSING = -32768
-"""The integer of a number that is missing."""
+"""Integer that represents a missing number."""
 LEVELS, SIGNAL_LEVELS = 32767, 1023
-"""Integers on either side of zero, of a channel and of a signal: noise costs room."""
+"""Number of integers on either side of zero, for channels and for signals, which need less resolution."""
 ANGLE_STEP, LENGTH_STEP = 0.002, 0.0005
-"""Least steps of angles [deg] and of positions [m]: nothing that a plot shows is finer."""
+"""Smallest steps of angles [deg] and positions [m]."""
 ANGLES = ("roll", "pitch", "yaw", "roll_est", "pitch_est")
 CHANNELS = (*ANGLES, "x", "y", "z", "x_ref", "y_ref", "z_ref")
 """Angles [deg], positions and set-points [m]."""
@@ -25,7 +25,7 @@ CHANNELS = (*ANGLES, "x", "y", "z", "x_ref", "y_ref", "z_ref")
 
 @dataclass(frozen=True)
 class Channel:
-    """One quantity in time: 16-bit integers in base64, times a scale."""
+    """A time series: 16-bit integers in base64, and a scale."""
 
     scale: float
     data: str
@@ -33,35 +33,35 @@ class Channel:
 
 @dataclass(frozen=True)
 class FlightSeries:
-    """One flight in time."""
+    """Time series of a flight."""
 
     dt: float
-    """Time between two samples [s]."""
+    """Sample period [s]."""
     channels: dict[str, Channel]
-    """Those of `CHANNELS`, and the signals of `flight_log.Flown` that have a value."""
+    """Time series of `CHANNELS`, and signals of `flight_log.Flown` that have a value."""
 
     @property
     def samples(self) -> int:
-        """Length of every channel."""
+        """Number of samples in every channel."""
         return len(_integers(next(iter(self.channels.values()))))
 
     def only(self, wanted: Callable[[str], bool]) -> "FlightSeries":
-        """The same with some of the channels."""
+        """Return the time series of some channels."""
         return FlightSeries(self.dt, {name: each for name, each in self.channels.items() if wanted(name)})
 
 
 def decimation(rate_hz: float) -> int:
-    """Of how many samples of a flight a series has one."""
+    """Return the decimation factor of a series."""
     return max(round(rate_hz / SERIES_HZ), 1)
 
 
 def pack_series(log: NDArray[np.void], rate_hz: float, signals: Mapping[str, Array]) -> FlightSeries:
-    """One flight's log (T,) of `flight_log.log_dtype`, decimated to `SERIES_HZ`.
+    """Pack the log (T,) of a flight, of type `flight_log.log_dtype`, decimated to `SERIES_HZ`.
 
     Args:
         log: The flight, until its end.
         rate_hz: Samples per second of the log.
-        signals: Further channels by name, decimated already, at least as long; NaN where missing.
+        signals: Further channels by name, already decimated and at least as long; NaN where missing.
     """
     every = decimation(rate_hz)
     shown = log[::every]
@@ -74,10 +74,10 @@ def pack_series(log: NDArray[np.void], rate_hz: float, signals: Mapping[str, Arr
 
 
 def compress_flights(flights: Iterable[FlightSeries]) -> str:
-    """The integers of all channels of flights, one after the other, compressed without loss, in base64.
+    """Compress the integers of all channels of flights without loss, in base64.
 
-    Neighbours are close, so that differences (modulo 2^16) have few distinct bytes; all their low bytes come
-    before all their high ones. The result is zlib's, RFC 1950, which browsers call "deflate".
+    The differences (modulo 2^16) of neighbouring integers have few distinct bytes. All low bytes come before
+    all high bytes. The format is zlib's, RFC 1950, which browsers call "deflate".
     """
     parts = [_integers(channel) for flight in flights for channel in flight.channels.values()]
     steps = np.diff(np.concatenate([np.zeros(1, "<i2"), *parts]))
@@ -89,7 +89,7 @@ def _integers(channel: Channel) -> NDArray[np.int16]:
 
 
 def pack_channel(values: Array, levels: int = LEVELS, step: float = 1e-9) -> Channel:
-    """A quantity in time (T,), NaN where missing, as integers up to ±`levels` in multiples of a `step`."""
+    """Pack a time series (T,), NaN where missing, as integers up to ±`levels` in multiples of a `step`."""
     finite = np.isfinite(values)
     scale = max(step, np.abs(values[finite]).max(initial=0.0) / levels)
     scale = float(f"{scale:.6g}")  # short in the page

@@ -1,10 +1,10 @@
-"""Rank contenders that flew the same flights, and compare two of them on the very same flights.
+"""Ranking of contenders, and paired comparison of two contenders on the same flights.
 
-Survival ranks first, and errors only count where all compared ones survived: a flight that crashes early has
-a small error until then. Seed i of a scenario is the same start, wind, sensor noise and faults for every
-estimator, so that paired differences cancel them.
+Contenders are ranked by survival first. Errors are compared only on flights that all compared contenders
+survived, because a flight that crashes early can have a small error. Start, wind, sensor noise and faults of
+seed i are the same for every estimator, so they cancel in paired differences.
 
-`flights` is a table with a row for each flight and the columns `flight_metrics.KEYS` and `FLIGHT`.
+`flights` is a table with a row per flight and the columns `flight_metrics.KEYS` and `FLIGHT`.
 """
 
 from collections.abc import Sequence
@@ -15,11 +15,11 @@ import pandas as pd
 from scipy.special import stdtrit
 
 FIT = 0.5
-"""Least share of the flights that a contender which is recommended survives."""
+"""Smallest share of survived flights of a recommended contender."""
 
 
 class Place(NamedTuple):
-    """A contender among others."""
+    """Rank of a contender."""
 
     name: str
     flights: int  #: that were to be flown
@@ -29,17 +29,17 @@ class Place(NamedTuple):
 
     @property
     def whole(self) -> bool:
-        """Whether it survived every flight."""
+        """Whether the contender survived every flight."""
         return self.survived == self.flights
 
     @property
     def fit(self) -> bool:
-        """Whether it survived enough flights to be recommended."""
+        """Whether the contender survived enough flights to be recommended."""
         return self.survived >= FIT * self.flights
 
     @property
     def fate(self) -> str:
-        """What became of its flights, in words: "crashed in 3 of 20 flights"."""
+        """The result of the flights in words, such as "crashed in 3 of 20 flights"."""
         flights = f"{self.flights} flight{'s' if self.flights > 1 else ''}"
         counts = {"crashed": self.flights - self.survived - self.missing, "did not run": self.missing}
         lost = listed([f"{what} in {count}" for what, count in counts.items() if count])
@@ -47,12 +47,12 @@ class Place(NamedTuple):
 
 
 def ranked(flights: pd.DataFrame, planned: Sequence[tuple[str, int]], metric: str) -> list[Place]:
-    """Contenders from best to worst: by the share of flights survived, the time to the crash, the error.
+    """Rank contenders by share of survived flights, then time to the crash, then error.
 
     Args:
-        flights: Of the contenders.
-        planned: Scenario and seed of the flights that every contender was to fly.
-        metric: What counts as the error [deg].
+        flights: Flights of the contenders.
+        planned: Scenario and seed of all planned flights of a contender.
+        metric: Column of the error [deg].
     """
     if flights.empty:
         return []
@@ -72,17 +72,17 @@ def ranked(flights: pd.DataFrame, planned: Sequence[tuple[str, int]], metric: st
 
 
 class Difference(NamedTuple):
-    """How much larger a metric is than that of another contender, on the same flights."""
+    """Difference of a metric from that of another contender on the same flights."""
 
     mean: float  #: NaN without a flight that both survived
     half: float  #: half the 95 % interval; NaN with fewer than two seeds
 
 
 def paired_difference(flights: pd.DataFrame, other: str, first: str, metric: str) -> Difference:
-    """The metric of `other` minus that of `first` on the flights that both survived.
+    """Return the metric of `other` minus that of `first` on flights that both survived.
 
-    The interval is Student's over seeds; a seed's difference is first averaged over scenarios, for its
-    flights share their sensor noise.
+    The interval is Student's t over seeds. The difference of each seed is first averaged over scenarios,
+    because flights with the same seed have the same sensor noise.
     """
     both = flights.query("cause == '' and estimator in [@other, @first]")
     wide: Any = both.pivot(index=["scenario", "seed"], columns="estimator", values=metric)
@@ -92,5 +92,5 @@ def paired_difference(flights: pd.DataFrame, other: str, first: str, metric: str
 
 
 def listed(names: Sequence[str], last: str = "and") -> str:
-    """Names in words: "a, b and c"."""
+    """Join names in words, such as "a, b and c"."""
     return f" {last} ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))

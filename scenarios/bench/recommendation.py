@@ -1,4 +1,4 @@
-"""The one recommendation: what to fly by the held-out suite, which trained, tuned and chose nothing."""
+"""The recommended estimators, as found with the held-out suite."""
 
 import tomllib
 from functools import cache
@@ -13,7 +13,7 @@ FILE = Path(__file__).with_suffix(".toml")
 
 
 class Recommendation(NamedTuple):
-    """The file `recommendation.toml`, which the page of the held-out suite writes."""
+    """Content of `recommendation.toml`, which the script of the results page writes."""
 
     release: str  #: whose held-out suite was flown
     command: str  #: what flew it
@@ -31,12 +31,12 @@ class Recommendation(NamedTuple):
 
 @cache
 def recommendation() -> Recommendation:
-    """The recommendation that ships."""
+    """Load the shipped recommendation."""
     return Recommendation(**tomllib.loads(FILE.read_text("utf-8")))
 
 
 def save_recommendation(found: Recommendation) -> None:
-    """Write the file that `recommendation` reads."""
+    """Write the recommendation."""
     head = "# Written by the command that makes docs/results.md, from the flights of the held-out suite.\n"
     write_whole(FILE, head + tomli_w.dumps(found._asdict()))
     recommendation.cache_clear()

@@ -1,4 +1,4 @@
-"""The results of a benchmark: its flights, their table and index in a folder, and who flew exactly alike."""
+"""The results of a benchmark, and their tables in a folder."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -26,12 +26,12 @@ from .flight_metrics import FLIGHT, KEYS, MEASURED, METRICS
 Z = float(ndtri(0.975))
 """Half the width of a normal distribution's 95 % interval [standard deviations]."""
 FIGURES = {"worst_tilt_deg": "max", "converge_s": "median", "recover_s": "median"}
-"""What counts of all flights; of the other metrics it is the mean over flights without a crash."""
+"""Metrics that include crashed flights; all other metrics are means over flights without a crash."""
 
 
 @dataclass(frozen=True)
 class Results:
-    """Results of a benchmark: cells in the order of scenarios, then estimators."""
+    """Results of a benchmark; cells are ordered by scenario, then estimator."""
 
     scenarios: dict[str, Scenario]
     estimators: list[str]
@@ -39,11 +39,11 @@ class Results:
     cells: list[Cell]
     experiment: Experiment = SUITE
     levels: Mapping[str, Levels] = field(default_factory=dict)
-    """Of each scenario its level of every axis, or of its sweep; empty without any."""
+    """Levels of each scenario on every axis or sweep; empty without axes."""
 
     @cached_property
     def flights(self) -> pd.DataFrame:
-        """A row for each flight, with the columns `KEYS` and `FLIGHT`."""
+        """Table with a row per flight and the columns `KEYS` and `FLIGHT`."""
         rows = [
             {"scenario": cell.scenario, "estimator": cell.estimator} | flight
             for cell in self.cells
@@ -53,11 +53,11 @@ class Results:
 
     @cached_property
     def rows(self) -> list[Any]:
-        """A row for each cell: why it did not run, crashes and metrics; None without a value."""
+        """A row per cell: reason of a failure, crashes and metrics; None without a value."""
         return records(self._summary({name: name for name in self.scenarios}))
 
     def _summary(self, level_of: Mapping[str, str]) -> pd.DataFrame:
-        """A row for all flights of each contender at each level, which is called "scenario"."""
+        """Return a row per contender and level; the column of the level is called "scenario"."""
         own = [cell for cell in self.cells if cell.scenario in level_of]
         cells = [(level_of[cell.scenario], cell.estimator, cell.reason) for cell in own]
         reasons = pd.DataFrame(cells, columns=[*KEYS, "reason"]).groupby(KEYS, sort=False)["reason"]
@@ -68,10 +68,10 @@ class Results:
 
     @property
     def references(self) -> set[str]:
-        """Contenders that were fed the true attitude, which no vehicle has.
+        """Contenders that are given the true attitude.
 
-        Where only such ones flew, with other controllers than the cascade, there are none: controllers are
-        compared.
+        If only such contenders flew, with other controllers than the cascade, the controllers are compared
+        and there are no references.
         """
         found = {cell.estimator for cell in self.cells if cell.receives_truth}
         compared = found == set(self.estimators) and {*map(controller_of, found)} != {CASCADED}
@@ -79,9 +79,9 @@ class Results:
 
     @cached_property
     def unranked(self) -> dict[str, str]:
-        """Contenders that are not ranked, and why, to follow their name in a sentence.
+        """Contenders that are not ranked, with the reason as the end of a sentence after their name.
 
-        Among them are those whose flights equal another's to the last digit.
+        Contenders whose flights equal those of another one in every digit are not ranked.
         """
         found = {name: "received the true attitude" for name in sorted(self.references)}
         found |= {name: f"repeats {of}" for name, of in COPIES.items() if {name, of} <= {*self.estimators}}
@@ -100,20 +100,20 @@ class Results:
 
     @property
     def warnings(self) -> list[str]:
-        """What was tuned or trained for another vehicle or IMU, and faults that begin after the end."""
+        """Warnings about tuning or training for another vehicle or IMU, and about faults after the end."""
         tuned: dict[str, dict[str, None]] = {}
         trained: dict[str, dict[str, None]] = {}
         flown_with = dict.fromkeys((each.vehicle, each.imu) for each in self.scenarios.values())
         for (vehicle, imu), name in product(flown_with, self.estimators):
             estimator, airframe = estimator_of(name), Path(vehicle).stem
             if other := tuning_misfit(estimator, tuning_of(name, self.settings.tuning), vehicle, imu):
-                text = f"Tuned for {other}, not for {airframe} with {Path(imu).stem}, which was simulated"
+                text = f"Tuned for {other}, not for the simulated {airframe} with {Path(imu).stem}"
                 tuned.setdefault(text, {})[name] = None
             for part in (estimator, controller_of(name)):
                 if other := training_misfit(part, vehicle):
-                    text = f"Trained on {other}, not on the {airframe}, which was simulated"
+                    text = f"Trained on {other}, not on the simulated {airframe}"
                     trained.setdefault(text, {})[part] = None
-        how = " `quadsim tune` on flights of it, then --set tuning=FILE."
+        how = " Run `quadsim tune` on flights of this vehicle and IMU, and give --set tuning=FILE."
         late = [
             f"{name} ends at {scenario.duration_s:g} s, before its fault {fault.kind} at {start:g} s"
             for name, scenario in self.scenarios.items()
@@ -125,7 +125,10 @@ class Results:
 
     @property
     def partial(self) -> str:
-        """What of the held-out suite is missing, in words; empty if nothing is, or of another experiment."""
+        """The missing part of the held-out suite in words.
+
+        The text is empty if nothing is missing, and for other experiments.
+        """
         if not self.experiment.held_out:
             return ""
         release, whole = self.experiment.cases(), default_estimators()
@@ -140,9 +143,9 @@ class Results:
 
     @cached_property
     def axes(self) -> dict[str, dict[str, list[str]]]:
-        """Of each axis, or sweep, its levels in the order of their file, and the scenarios at each.
+        """Levels of each axis or sweep in the order of the file, and scenarios at each level.
 
-        Where there is neither, the scenarios are the levels of "scenario".
+        Without axes and sweeps, the scenarios are the levels of an axis "scenario".
         """
         found: dict[str, dict[str, list[str]]] = {}
         for name in self.scenarios:
@@ -156,7 +159,7 @@ class Results:
 
     @cached_property
     def by_level(self) -> dict[tuple[str, str, str], Any]:
-        """All flights of a contender at a level as in `rows`, by axis, level and contender."""
+        """Rows for all flights of a contender at a level, by axis, level and contender."""
         found = {}
         for axis, levels in self.axes.items():
             level_of = {scenario: level for level, own in levels.items() for scenario in own}
@@ -165,7 +168,7 @@ class Results:
 
     @cached_property
     def totals(self) -> dict[str, Any]:
-        """Every contender over its scenarios: flights, crashes, failed scenarios, means of the metrics."""
+        """Flights, crashes, failed scenarios and mean metrics of every contender over all scenarios."""
         table = self._summary({name: name for name in self.scenarios})
         names: Any = table.assign(failed=table["reason"] != "").groupby("estimator", sort=False)
         table = names[["flights", "crashes", "failed"]].sum().join(names[[m.key for m in METRICS]].mean())
@@ -173,7 +176,7 @@ class Results:
         return {row.estimator: row for row in records(table.reset_index())}
 
     def breaking_point(self, sweep: str, name: str) -> str:
-        """The least level of a sweep at which a flight of a contender crashed, in words."""
+        """Return the smallest level of a sweep at which a flight of a contender crashed, in words."""
         level = ""
         for level in self.axes[sweep]:
             row = self.by_level[sweep, level, name]
@@ -185,7 +188,7 @@ class Results:
 
     @property
     def cost(self) -> str:
-        """What all flights took, those of earlier runs among them, in words."""
+        """CPU time of all flights, including those of earlier runs, in words."""
         count, cpu_s = len(self.flights), sum(cell.cpu_s for cell in self.cells)
         text = f"{count} flight{'s' if count != 1 else ''}"
         text += f", {hours(sum(self.flights['flown_s']))} in the air"
@@ -193,11 +196,11 @@ class Results:
 
 
 RESULTS = TypeAdapter(Results)
-"""Writes results as JSON, and reads them."""
+"""Converts results to JSON and back."""
 
 
 def wilson(hits: ArrayLike, trials: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Ends of the 95 % Wilson score interval of shares (Wilson 1927); 0 and 1 without a trial."""
+    """Return the ends of the 95 % Wilson score interval of shares (Wilson 1927); 0 and 1 without trials."""
     hits, trials = np.asarray(hits, np.float64), np.asarray(trials, np.float64)
     with np.errstate(invalid="ignore", divide="ignore"):
         share, square = hits / trials, Z * Z / trials
@@ -207,10 +210,10 @@ def wilson(hits: ArrayLike, trials: ArrayLike) -> tuple[NDArray[np.float64], NDA
 
 
 def summarise(flights: pd.DataFrame) -> pd.DataFrame:
-    """Crashes and metrics of the flights of each scenario with each estimator; NaN where none has a value.
+    """Summarise crashes and metrics of each scenario with each estimator; NaN without a value.
 
     Args:
-        flights: A row for each flight, with the columns `KEYS` and `FLIGHT`.
+        flights: Table with a row per flight and the columns `KEYS` and `FLIGHT`.
     """
     every: Any = flights.assign(crashed=flights["cause"] != "").groupby(KEYS, sort=False)
     table = every["crashed"].agg(flights="size", crashes="sum")
@@ -226,16 +229,16 @@ def summarise(flights: pd.DataFrame) -> pd.DataFrame:
 
 
 def records(table: pd.DataFrame) -> list[Any]:
-    """The rows of a table with its columns as attributes; None where a value is missing."""
+    """Return the rows of a table with columns as attributes; missing values are None."""
     known: Any = table.astype(object).where(table.notna(), None)
     return list(known.itertuples(index=False))
 
 
 def load_results(out: str | Path) -> Results:
-    """The results of an earlier `bench` in its folder.
+    """Load the results of a benchmark from its folder.
 
     Raises:
-        ValueError: If there are none.
+        ValueError: The folder contains no results.
     """
     path = Path(out).expanduser() / "bench.json"
     try:
@@ -247,7 +250,7 @@ def load_results(out: str | Path) -> Results:
 
 
 def save_results(out: Path, results: Results) -> None:
-    """Write the tables, and what `load_results` reads."""
+    """Write the tables, and the file for `load_results`."""
     levels = pd.DataFrame.from_dict(dict(results.levels), orient="index")
     # whose column "scenario" is that of the flights, the name of the combination
     flights = results.flights.join(levels.rename(columns={"scenario": "base scenario"}), on="scenario")
@@ -257,7 +260,7 @@ def save_results(out: Path, results: Results) -> None:
 
 
 def hours(seconds: float) -> str:
-    """A duration: "12 s", "3.4 min", "6.2 h"."""
+    """Format a duration, such as "12 s", "3.4 min" or "6.2 h"."""
     if seconds < 100.0:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.1f} min" if seconds < 6000.0 else f"{seconds / 3600:.1f} h"

@@ -1,4 +1,4 @@
-"""The closed-loop benchmark: scenarios × estimators × seeds, resumable, the same on any number of workers."""
+"""The closed-loop benchmark: scenarios × estimators × seeds, resumable, on any number of workers."""
 
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -29,10 +29,10 @@ log = logging.getLogger(__name__)
 
 Progress = Callable[[int, int], None]
 Changes = Mapping[str, Any]
-"""Fields that replace those of every scenario: vehicle, imu, external, engine, duration_s and the others."""
+"""Fields that replace those of every scenario, such as vehicle, imu, external, engine and duration_s."""
 NO_CHANGES: Changes = {}
 Job = tuple[str, Scenario, str]
-"""Name of a scenario, itself, and a contender."""
+"""Name of a scenario, the scenario, and a contender."""
 
 
 def bench(
@@ -48,23 +48,24 @@ def bench(
 ) -> Results:
     """Fly every scenario with every estimator and the same seeds; write `flights.parquet` and `results.csv`.
 
-    The results do not depend on the number of workers. Every finished cell is stored under `out/cells`; a
-    later run with the same scenario, estimator, seeds and code reads it. Worker processes import the caller's
-    main module, so a script calls this under `if __name__ == "__main__":`.
+    The results do not depend on the number of workers. Every finished cell is stored in `out/cells`. A later
+    run with the same scenario, estimator, seeds and code reads the stored cell. Worker processes import the
+    caller's main module, so scripts must call this function under `if __name__ == "__main__":`.
 
     Args:
-        scenarios: Names of shipped scenarios or paths of TOML files; None for those of the experiment.
+        scenarios: Names of shipped scenarios or paths of TOML files; None for the scenarios of the
+            experiment.
         names: Names of estimators, or paths of weights.
         out: Folder for the results.
-        settings: Seeds, sample rate, tuning.
+        settings: Seeds, sample rate and tuning.
         changes: Fields that replace those of every scenario.
-        experiment: Conditions around the scenarios, and sweeps; by default there are none.
-        workers: Processes, by default one for each CPU; 1 stays in this process.
-        progress: Called with the cells done and their total at the start and after each cell.
+        experiment: Experiment with conditions and sweeps; by default, there are none.
+        workers: Number of processes, by default one per CPU; 1 runs in this process.
+        progress: Called at the start and after each cell, with the number of finished cells and the total.
 
     Raises:
-        ValueError: For a bad argument or scenario file, or a folder that another process writes.
-        OSError: If the results cannot be written.
+        ValueError: An argument or a scenario file is invalid, or another process is writing to `out`.
+        OSError: The results cannot be written.
     """
     names, out = list(dict.fromkeys(names)), Path(out).expanduser()
     varied = {name for levels in experiment.axes.values() for level in levels.values() for name in level}
@@ -97,7 +98,7 @@ def bench(
 
 
 def files_of(scenario: Scenario, contender: str) -> list[str | Path]:
-    """What a cell reads besides presets: weights and a user's code."""
+    """Return the files that a cell reads in addition to presets: weights and user code."""
     name, controller = estimator_of(contender), controller_of(contender)
     found: list[str | Path] = [name] if is_weights(name) else [*own_sources(name)]
     if is_controller(controller):
@@ -111,14 +112,14 @@ def files_of(scenario: Scenario, contender: str) -> list[str | Path]:
 
 
 def flight_code() -> str:
-    """Digest of the code and data that a cell's numbers come from: change these, and cells run again."""
+    """Return the digest of the code and data of a cell. If it changes, cells run again."""
     files = [path for path in ASSETS.rglob("*.*") if "__pycache__" not in path.parts]
     assets = {path.relative_to(ROOT).as_posix(): file_digest(path) for path in files}
     return fingerprint(code_digest("scenarios.bench.cell", "estimators"), assets)
 
 
 def _check(scenarios: Mapping[str, Scenario], names: Sequence[str], settings: FlightSettings) -> None:
-    """Check what a user may have mistyped and `_fingerprints` does not read."""
+    """Check inputs that `_fingerprints` does not read."""
     if settings.tuning is not None and not set(map(estimator_of, names)) & set(load_tuning(settings.tuning)):
         raise ValueError(f"{settings.tuning}: it has no table of {', '.join(names)}")
     for name in dict.fromkeys(map(estimator_of, names)):
@@ -133,7 +134,7 @@ def _check(scenarios: Mapping[str, Scenario], names: Sequence[str], settings: Fl
 
 
 def _fingerprints(jobs: Sequence[Job], settings: FlightSettings) -> Iterator[str]:
-    """Of each cell.
+    """Return the fingerprint of each cell.
 
     Raises:
         ValueError: A scenario's vehicle, IMU or external sensor cannot be read.
@@ -156,7 +157,7 @@ def _fingerprints(jobs: Sequence[Job], settings: FlightSettings) -> Iterator[str
 
 
 def _digest_if_there(path: str | Path) -> str:
-    """Digest of a file that a cell reads; empty where it cannot be read, which is the cell's own error."""
+    """Return the digest of a file that a cell reads; empty if it cannot be read, which fails in the cell."""
     try:
         return content_digest(Path(path).read_bytes())
     except OSError:

@@ -1,4 +1,4 @@
-"""The verdict of a benchmark: a sorted table, and one sentence that says what to fly there."""
+"""The verdict of a benchmark: a ranked table, and a sentence with the recommended estimators."""
 
 import math
 from collections import Counter
@@ -15,13 +15,13 @@ from .recommendation import recommendation
 from .results import Results
 
 FEW = 5
-"""Flights of each estimator in a scenario below which the headline warns that they are few."""
+"""Number of flights of each estimator in a scenario below which the headline adds a warning."""
 MOST_NAMED = 3
-"""Scenarios, and estimators that tie on a condition, that the headline names; more are counted."""
+"""Largest number of scenarios, or of tied estimators, that the headline names; more are counted."""
 
 
 class Measure(NamedTuple):
-    """What ranks."""
+    """A measure that ranks contenders."""
 
     key: str
     """Column of the tables [deg]."""
@@ -30,7 +30,7 @@ class Measure(NamedTuple):
 
 ERROR = Measure("error_deg", "error")
 TRACKING = Measure("attitude_deg", "tracking error")
-"""Between controllers: an estimate's error says nothing of them."""
+"""Measure for controllers, which estimation errors do not describe."""
 
 
 class Standing(NamedTuple):
@@ -42,7 +42,7 @@ class Standing(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """The answer."""
+    """The verdict of a benchmark."""
 
     headline: str
     lines: list[str]
@@ -50,7 +50,7 @@ class Verdict(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """What to fly in some scenarios."""
+    """The best contenders in some scenarios."""
 
     places: list[Place]  #: the contenders that are ranked and flew, from best to worst
     best: list[Place]  #: the first, and those that do not differ from it significantly
@@ -58,7 +58,7 @@ class Choice(NamedTuple):
 
 
 def verdict(results: Results) -> Verdict:
-    """Rank the contenders of a benchmark, and say which to fly in its scenarios.
+    """Rank the contenders of a benchmark, and recommend the best ones.
 
     Paired differences on the same seeds decide which errors are not significantly larger than the best.
     """
@@ -89,10 +89,10 @@ def verdict(results: Results) -> Verdict:
 
 
 def choice(results: Results, scenarios: Sequence[str]) -> Choice:
-    """What to fly in some of the scenarios; those in which every flight crashes do not count.
+    """Find the best contenders in some scenarios; scenarios in which every flight crashes are ignored.
 
-    The best end at the first that survived fewer flights or whose error is significantly larger, so that none
-    of them ranks below one that is left out.
+    The list of the best ends before the first contender that survived fewer flights or whose error is
+    significantly larger, so that no member ranks below a contender outside the list.
     """
     measure = measure_of(results.estimators)
     flights = results.flights.query("scenario in @scenarios and estimator not in @results.unranked")
@@ -110,7 +110,7 @@ def choice(results: Results, scenarios: Sequence[str]) -> Choice:
 
 
 def measure_of(names: Iterable[str]) -> Measure:
-    """What ranks: between controllers, and of one alone, the tracking error, else that of the estimate."""
+    """Return the ranking measure: tracking error for controllers, estimation error for estimators."""
     names = list(names)
     controllers = {controller_of(name) for name in names}
     alone = len({estimator_of(name) for name in names}) == 1 and controllers != {CASCADED}
@@ -118,7 +118,7 @@ def measure_of(names: Iterable[str]) -> Measure:
 
 
 def said(name: str, measure: Measure) -> str:
-    """A contender in words: between controllers "the cascade on mahony"."""
+    """Name a contender in words; if controllers are compared, such as "the cascade with mahony"."""
     if measure == ERROR:
         return name
     controller = controller_of(name)
@@ -126,24 +126,24 @@ def said(name: str, measure: Measure) -> str:
 
 
 def shown(error_deg: float | None) -> str:
-    """An error in words."""
+    """Format an error."""
     return "not measured" if error_deg is None or math.isinf(error_deg) else f"{error_deg:.2f}°"
 
 
 def conditions(scenarios: Mapping[str, Scenario]) -> str:
-    """What the scenarios have in common, and how many differ, in a sentence."""
+    """Describe the conditions of the scenarios in a sentence."""
     aspects: dict[str, Callable[[Scenario], str]] = {
-        "the airframe is": lambda each: Path(each.vehicle).stem,
-        "its drag is": _drag,
-        "the IMU is": lambda each: Path(each.imu).stem,
-        "the initial attitude is": _initial,
+        "The airframe": lambda each: Path(each.vehicle).stem,
+        "Its drag": _drag,
+        "The IMU": lambda each: Path(each.imu).stem,
+        "The initial attitude": _initial,
     }
     found = []
     for aspect, level_of in aspects.items():
         counts = Counter(map(level_of, scenarios.values())).most_common()
         each = [f"{level} in {_count(times, 'scenario')}" for level, times in counts]
-        found.append(f"{aspect} {listed(each) if len(counts) > 1 else counts[0][0]}")
-    return f"In these flights, {'; '.join(found)}."
+        found.append(f"{aspect} is {listed(each) if len(counts) > 1 else counts[0][0]}.")
+    return " ".join(found)
 
 
 # --- the table ------------------------------------------------------------------------------------
@@ -203,7 +203,8 @@ def _nobody(results: Results) -> tuple[str, list[str]]:
     what = "No estimator is fit" if flaws else "No estimator ran"
     why = "; ".join(f"{name} {reason}" for name, reason in {**reasons, **flaws}.items())
     advice = (
-        "Estimates are roll and pitch in rad at every sample. Fly one that ships beside: --estimator eskf."
+        "An estimator returns roll and pitch in rad at every sample. To compare, add a shipped one: "
+        "--estimator eskf."
     )
     return f"{what}: {why}.", [advice]
 
@@ -260,16 +261,16 @@ def _fly(results: Results, whole: Choice) -> str:
 
 
 def recommended(found: Choice, measure: Measure) -> str:
-    """What to fly and why, as the end of a sentence."""
+    """Return the recommendation with its reason, as the end of a sentence."""
     names = listed([said(place.name, measure) for place in found.best], "or")
     if not found.best[0].fit:
-        return f"no estimator is fit to fly: {names} {found.best[0].fate}, the others in more."
+        return f"no estimator is fit to fly: {names} {found.best[0].fate}, and the others in more."
     only = ", the only one that ran" if len(found.places) == 1 else ""
     return f"fly {names}{only} ({outcome(found.best, measure)})."
 
 
 def outcome(best: Sequence[Place], measure: Measure) -> str:
-    """What became of contenders that tie: "no crash in 4 flights, error 1.00°"."""
+    """Describe the results of tied contenders, such as "no crash in 4 flights, error 1.00°"."""
     first, errors = best[0], [place.error for place in best]
     text = first.fate + (" each" if len(best) > 1 else "")
     if first.survived:

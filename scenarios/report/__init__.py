@@ -1,1 +1,1 @@
-"""The report: results of a benchmark go in; one HTML file, tables and pictures come out."""
+"""The report of a benchmark: one HTML file, tables and pictures."""

@@ -1,4 +1,4 @@
-"""Estimators compared on a dataset: a table, a CSV, pictures and a page, `quadsim evaluate --data`."""
+"""Comparison of estimators on a dataset for `quadsim evaluate --data`: table, CSV, pictures and page."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -23,7 +23,7 @@ FIGURES = {
 }
 
 SLOW_FLIGHTS = 4
-"""Flights that filterpy's filters are run on, which are hundreds of times as slow as others."""
+"""Number of flights for filterpy's filters, which are hundreds of times slower than the others."""
 METHOD = (
     "The error of a flight is the mean absolute error of roll and pitch. The table gives its median, mean "
     "and standard deviation over flights; the 95 % interval of the mean is a bootstrap interval. 'Silenced' "
@@ -51,9 +51,9 @@ def evaluate_dataset(
         data: The dataset.
         out: Folder for evaluation.csv, report.html and the pictures.
         names: The estimators; None for all that can be made.
-        tuning: Where their parameters come from, as `estimators.create` takes it.
-        vehicle: The airframe; None for the dataset's.
-        seed: Of the bootstrap.
+        tuning: Source of the parameters, as in `estimators.create`.
+        vehicle: The airframe; None for that of the dataset.
+        seed: Seed of the bootstrap.
     """
     flights = open_dataset(data)
     airframe, imu = vehicle or vehicle_of(flights), imu_of(flights)
@@ -82,13 +82,13 @@ def evaluate_dataset(
 def recorded_section(
     done: Evaluation, caption: str, pictures: Mapping[str, Path] | None = None
 ) -> OfflineSection:
-    """The section of a report."""
+    """Return the section of a report."""
     found = headline(done.rows)
     return OfflineSection(columns(done), caption, pictures or {}, f"On these flights, {found}.")
 
 
 def headline(rows: Sequence[Any]) -> str:
-    """The estimator with the smallest error from an unknown start, and those that are tied with it."""
+    """Name the estimator with the smallest error from an unknown start, and those tied with it."""
     rated = [row for row in rows if row.initial == "unknown" and not row.unranked]
     if not rated:
         return "no estimator with an unknown start is ranked"
@@ -99,7 +99,7 @@ def headline(rows: Sequence[Any]) -> str:
 
 
 def columns(done: Evaluation) -> list[dict[str, object]]:
-    """The rows as tables show them; unknown values are None."""
+    """Return the rows for tables; unknown values are None."""
     return [
         {
             "estimator": row.estimator,
@@ -126,7 +126,7 @@ def _known(value: float) -> float | None:
 
 
 def evaluation_notes(done: Evaluation) -> list[str]:
-    """Notes that explain the table."""
+    """Return notes that explain the table."""
     notes, rows = [], done.rows
     if not done.tilts_deg:
         notes.append("The flights are too short or too level to measure convergence from a wrong start.")

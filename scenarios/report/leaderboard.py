@@ -1,4 +1,4 @@
-"""The leaderboard: entries of tasks go in; one HTML page that needs nothing else comes out."""
+"""The leaderboard of task entries: one self-contained HTML page."""
 
 import base64
 from collections.abc import Mapping, Sequence
@@ -24,7 +24,7 @@ from .template import render
 
 ERROR = "error_deg"
 TITLES = {"home": "quadsim", "rotorpy": "RotorPy", "broad": "BROAD, real"}
-"""Headings of parts where the name is not one."""
+"""Headings of parts whose name is not suitable."""
 FOOTER = (
     "Entries are ranked by the number of flights without a crash, then by the time to the crash, then by "
     "the error on the flights that all entries with as many survived flights completed. 'Better than the "
@@ -47,10 +47,12 @@ NONE = Cell("–", None)
 
 
 def find_entries(folders: Sequence[Path]) -> list[Entry]:
-    """The entries in folders, and in the folders inside these; the last of one task, code and name counts.
+    """Find entries in folders and their subfolders.
+
+    Of several with the same task, code and name, the last is used.
 
     Raises:
-        ValueError: There is none, or a file is not an entry.
+        ValueError: There is no entry, or a file is not an entry.
     """
     files = [
         file
@@ -66,7 +68,7 @@ def find_entries(folders: Sequence[Path]) -> list[Entry]:
 
 
 def write_leaderboard(path: Path, entries: Sequence[Entry]) -> Path:
-    """Write the page; entries of another task or other code have a table of their own."""
+    """Write the page; entries of another task or other code have a separate table."""
     boards = [
         _board(title, list(own))
         for title, own in groupby(
@@ -97,14 +99,14 @@ def _board(title: str, entries: Sequence[Entry]) -> dict[str, Any]:
 
 
 def flights_of(entries: Sequence[Entry]) -> pd.DataFrame:
-    """The closed-loop flights of entries, a row each."""
+    """Return the closed-loop flights of entries, one row per flight."""
     rows = [{"estimator": each.card.name, **asdict(flight)} for each in entries for flight in each.flights]
     columns = ["estimator", "scenario", "seed", "cause", "flown_s", ERROR]
     return pd.DataFrame(rows, columns=columns).astype({ERROR: float})
 
 
 def standing(entries: Sequence[Entry], flights: pd.DataFrame) -> list[str]:
-    """Names of the entries that are ranked, the leader first."""
+    """Return the names of ranked entries, the best first."""
     names = [each.card.name for each in entries if not each.reasons and each.flights]
     planned = list(dict.fromkeys(zip(flights["scenario"], flights["seed"], strict=True)))
     own: Any = flights[flights["estimator"].isin(names)]
@@ -112,9 +114,9 @@ def standing(entries: Sequence[Entry], flights: pd.DataFrame) -> list[str]:
 
 
 def improvement(flights: pd.DataFrame, name: str, leader: str) -> Summary:
-    """Share of a scenario's flights in which an entry does better than another, for each scenario.
+    """Return the share of flights in which an entry is better than another, for each scenario.
 
-    The probability of improvement of Agarwal et al. (NeurIPS 2021) on paired flights.
+    This is the probability of improvement of Agarwal et al. (NeurIPS 2021) on paired flights.
     """
     score = flights.assign(score=flights[ERROR].where(flights["cause"] == "", np.inf).fillna(np.inf))
     wide: Any = score.pivot(index=["scenario", "seed"], columns="estimator", values="score").fillna(np.inf)
@@ -156,7 +158,10 @@ def _crash_cell(entry: Entry) -> Cell:
 
 
 def loop_errors(entry: Entry) -> Summary | None:
-    """Mean error of each scenario over its flights without a crash [°]; None where there is none."""
+    """Return the mean error of each scenario over flights without a crash [°].
+
+    The error is None if all flights crashed.
+    """
     survived: Any = flights_of([entry]).query("cause == ''").groupby("scenario", sort=False)
     means = survived[ERROR].mean().dropna().to_numpy()
     return Summary(means) if means.size else None
@@ -188,7 +193,7 @@ def _cost_cells(entry: Entry) -> dict[str, Cell]:
 
 
 def profile(flights: pd.DataFrame, names: Sequence[str]) -> Figure:
-    """Share of the flights whose error is below a limit, for each limit; a crash is above all of them."""
+    """Return the share of flights with an error below each limit; a crash is above all limits."""
     figure = Figure(figsize=(8.0, 4.2), layout="constrained")
     axes = figure.subplots()
     for name, look in looks(names).items():
@@ -205,7 +210,7 @@ def profile(flights: pd.DataFrame, names: Sequence[str]) -> Figure:
 
 
 def fronts(entries: Sequence[Entry]) -> Figure:
-    """Error in closed loop against modelled energy and against time; the line joins what nothing beats."""
+    """Draw the error in closed loop over modelled energy and over time; the line joins the Pareto front."""
     figure = Figure(figsize=(10.0, 4.2), layout="constrained")
     errors = {each.card.name: loop_errors(each) for each in entries if not each.reasons}
     shown = [

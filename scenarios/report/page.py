@@ -1,4 +1,4 @@
-"""The report: one HTML file that needs nothing else, with the verdict first."""
+"""The report: one self-contained HTML file, with the verdict first."""
 
 import base64
 import json
@@ -26,16 +26,17 @@ from ..bench.verdict import ERROR, Verdict, measure_of, verdict
 from .template import render
 
 SHOWN = 4
-"""Estimators drawn at first in the time plots."""
+"""Number of estimators that the time plots show initially."""
 TIMED = 450
-"""Flights in time that are in the page, the same estimators in every scenario,"""
+"""Number of estimators per scenario with time series in the page."""
 DETAILED = 120
-"""and those whose signals are: with them, 30 scenarios × 14 estimators stay below 5 MB."""
+"""Number of estimators per scenario with signals; with these, 30 scenarios × 14 estimators stay below 5
+MB."""
 
 
 @dataclass(frozen=True)
 class OfflineSection:
-    """Estimators on recorded flights, as the report shows them."""
+    """Section of the report on recorded flights."""
 
     rows: Sequence[Mapping[str, object]]
     """Rows of the table, with the key "estimator"; every key is a column."""
@@ -43,19 +44,19 @@ class OfflineSection:
     pictures: Mapping[str, Path] = field(default_factory=dict)
     """PNG files to show below the table, by title."""
     headline: str = "Recorded flights"
-    """Of a report without a benchmark."""
+    """Headline of a report without a benchmark."""
 
 
 def publish(folder: str | Path, results: Results, path: Path | None = None) -> Path:
     """Write the report of a benchmark's folder.
 
     Args:
-        folder: Where `bench` wrote its tables, to which the report links.
-        results: What it returned.
+        folder: Folder with the tables of the benchmark, to which the report links.
+        results: Results of the benchmark.
         path: The report, by default report.html in the folder.
 
     Raises:
-        OSError: If a file cannot be written.
+        OSError: A file cannot be written.
     """
     folder = Path(folder).expanduser()
     page = (path or folder / "report.html").expanduser()
@@ -83,14 +84,14 @@ def write_report(
         closed_loop: Results of a benchmark.
         offline: Results on recorded flights.
         film: Video for the top, MP4.
-        title: Heading; empty: the question that the report answers.
-        files: Files beside the report to link to.
-        footer: How it was made.
-        focus: An estimator whose flights are shown at first, besides the best.
-        record: Of the run, for the foot.
+        title: Heading; empty for the default one.
+        files: Files in the same folder to link to.
+        footer: Text about the origin of the report.
+        focus: An estimator whose flights are shown initially, in addition to the best ones.
+        record: Record of the run, for the footer.
 
     Raises:
-        ValueError: If there is nothing to report.
+        ValueError: There are no results.
     """
     if closed_loop is None and (offline is None or not offline.rows):
         raise ValueError("nothing to report: neither closed-loop results nor recorded flights were given")
@@ -165,15 +166,15 @@ def _encoded(file: Path) -> str:
 def page_flights(
     results: Results, order: Sequence[str]
 ) -> tuple[list[FlightSeries | None], dict[str, FlightSeries]]:
-    """Flights in time as they are in the page.
+    """Return the time series of flights for the page.
 
     Args:
-        results: Of the benchmark.
-        order: Estimators, first those whose signals are wanted most.
+        results: Results of the benchmark.
+        order: Estimators, in order of priority for signals.
 
     Returns:
-        The series of each cell, with its signals where there is room for them; and of each scenario the
-        signals that are the same with every estimator, from the longest flight.
+        The series of each cell, with signals for some estimators; and for each scenario, the signals that do
+        not depend on the estimator, from the longest flight.
     """
     wanted = sorted(order, key=lambda name: name == TRUTH)
     timed, detailed = (wanted[: most // max(len(results.scenarios), 1)] for most in (TIMED, DETAILED))
@@ -191,13 +192,13 @@ def page_flights(
 
 
 def described(series: FlightSeries) -> dict[str, object]:
-    """All of a flight in time but its integers, as pages unpack it."""
+    """Return the description of a time series without its integers, for the scripts of pages."""
     scales = {name: channel.scale for name, channel in series.channels.items()}
     return {"dt": series.dt, "samples": series.samples, "scales": scales}
 
 
 def uplot() -> dict[str, str]:
-    """Script, style and licence of uPlot (github.com/leeoniya/uPlot, MIT), which draws the traces."""
+    """Return script, style and licence of uPlot (github.com/leeoniya/uPlot, MIT), which draws the traces."""
     folder = Path(__file__).parent / "uplot"
     source = (folder / "uPlot.iife.min.js").read_text("utf-8")
     return {
@@ -208,7 +209,7 @@ def uplot() -> dict[str, str]:
 
 
 def script(entry: str) -> str:
-    """A module below `scenarios/` and all that it imports as one script, imported ones first."""
+    """Join a JavaScript module below `scenarios/` and its imports to one script, imports first."""
     found: dict[str, str] = {}
 
     def visit(name: str) -> None:

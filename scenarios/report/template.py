@@ -1,4 +1,4 @@
-"""What the templates of the reports share: the environment, and numbers as they are shown."""
+"""The template environment of the reports, and the format of numbers."""
 
 import re
 
@@ -7,7 +7,7 @@ from markupsafe import Markup, escape
 
 
 def render(name: str, **context: object) -> str:
-    """A page from a template below `scenarios/`; what is undefined is an error, and every name is escaped."""
+    """Render a template below `scenarios/`; undefined names are errors, and all texts are escaped."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("scenarios", ""),
         autoescape=True,

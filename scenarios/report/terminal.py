@@ -13,9 +13,9 @@ from ..bench.verdict import Verdict
 
 
 def rows_table(rows: Sequence[Mapping[str, object]], title: str = "") -> Table:
-    """A table of rows by their headings; numbers are aligned to the right, and a dash is none.
+    """Make a table of rows, given by their headings; numbers are aligned to the right.
 
-    The first column, of names, is not wrapped. A column without any text is left out.
+    The first column is not wrapped. Columns without text are omitted.
     """
     table = Table(title=title, box=SIMPLE, padding=(0, 1, 0, 0))
     shown = [heading for heading in rows[0] if any(row[heading] != "" for row in rows)]
@@ -32,27 +32,27 @@ def rows_table(rows: Sequence[Mapping[str, object]], title: str = "") -> Table:
 
 
 def standings_table(judged: Verdict) -> Table:
-    """The table of a verdict, as the report shows it; crashes in red."""
+    """Make the table of a verdict, with crashes in red."""
     table = rows_table([{"estimator": each.estimator, **each.texts} for each in judged.standings])
     for row, each in zip(table.rows, judged.standings, strict=True):
         row.style = "red" if each.crashed else None
     table.caption = (
-        "Errors are means over scenarios, of flights without a crash. Every flight: flights.parquet"
+        "Errors are means over scenarios of the flights without a crash. flights.parquet lists every flight."
     )
     return table
 
 
 def breaking_table(results: Results) -> Table:
-    """Contenders against sweeps: the least level at which one crashed."""
+    """Make a table of contenders and sweeps, with the smallest level at which a flight crashed."""
     rows = [
         {"estimator": name} | {sweep: results.breaking_point(sweep, name) for sweep in results.axes}
         for name in results.estimators
     ]
-    return rows_table(rows, "Breaking points: the least level at which a flight crashed")
+    return rows_table(rows, "Breaking points: the smallest level at which a flight crashed")
 
 
 def cores_table(cores: Sequence[ChipCore]) -> Table:
-    """The neurons of each core of a chip, and how much of each limit they take."""
+    """Make a table of the cores of a chip: neurons, and use of each limit."""
     headings = {name: "\n".join([*name.split(), f"({limit})"]) for name, limit in LIMITS.items()}
     rows = [
         {
@@ -62,4 +62,4 @@ def cores_table(cores: Sequence[ChipCore]) -> Table:
         | {headings[name]: used for name, used in core.used().items()}
         for number, core in enumerate(cores)
     ]
-    return rows_table(rows, "On the chip: used of what a core has")
+    return rows_table(rows, "Use of each core of the chip, with the limits in brackets")

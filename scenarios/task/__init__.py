@@ -1,1 +1,1 @@
-"""A benchmark task that others can enter: its data, the runs of an entry, and what is written of them."""
+"""Benchmark tasks that others can enter: data, runs of an entry, and result files."""

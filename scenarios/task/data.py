@@ -1,4 +1,4 @@
-"""The data of a task: made once in a folder, and read as groups of flights."""
+"""The data of a task, generated once in a folder and read as groups of flights."""
 
 import hashlib
 import json
@@ -24,32 +24,32 @@ from quadsim.vehicle import Vehicle
 from .specification import BROAD, ROTORPY, Progress, Task
 
 ENDINGS = (".hdf5", ".mat", ".npz")
-"""Of BROAD's trials; where a folder has one trial in several forms, the first counts."""
+"""File suffixes of BROAD's trials; if a trial has several files, the first suffix is used."""
 
 
 class Group(NamedTuple):
-    """Flights of one length and airframe."""
+    """Flights with equal length and airframe."""
 
     names: list[str]
     flights: Flights
-    """Their truth is NaN where it is not scored."""
+    """The flights; the truth is NaN for samples that are not scored."""
     vehicle: Vehicle | None
 
 
 def make_data(
     task: Task, folder: Path, recordings: Path | None, workers: int | None, progress: Progress
 ) -> dict[str, str]:
-    """Make what is missing of a task's data; digests of the parts, empty where there is no data.
+    """Generate missing data of a task; return the digests of the parts, empty for missing parts.
 
     Args:
         task: The task.
-        folder: Where the data are.
+        folder: Folder of the data.
         recordings: The user's folder of BROAD.
-        workers: Processes, by default one for each CPU.
+        workers: Number of processes, by default one per CPU.
         progress: Called before each part.
 
     Raises:
-        ValueError: A part is not what the task says: its digest differs.
+        ValueError: The digest of a part differs from that in the task.
     """
     found = {}
     for k, name in enumerate(task.parts):
@@ -71,12 +71,12 @@ def make_data(
 
 
 def differing(task: Task, digests: Mapping[str, str]) -> list[str]:
-    """Parts whose data are not those of the task."""
+    """Return the parts whose data differ from those of the task."""
     return [name for name, digest in task.digests.items() if digest != digests.get(name)]
 
 
 def digest_of(found: Iterator[Group]) -> str:
-    """SHA-256 of readings and true attitudes in single precision; empty without any."""
+    """Return the SHA-256 of readings and true attitudes in single precision; empty without data."""
     digest, some = hashlib.sha256(), False
     for group in found:
         for values in (group.flights.gyro, group.flights.accel, group.flights.quat):
@@ -86,7 +86,7 @@ def digest_of(found: Iterator[Group]) -> str:
 
 
 def groups(task: Task, name: str, folder: Path) -> Iterator[Group]:
-    """The flights of a part; none of BROAD where the user has no folder of it."""
+    """Return the flights of a part; none of BROAD without the user's folder."""
     if name == BROAD:
         for file in sorted((folder / name).glob("*.npz")):
             yield _trial(file, task.rate_hz)
@@ -98,7 +98,7 @@ def groups(task: Task, name: str, folder: Path) -> Iterator[Group]:
 
 
 def foreign(task: Task, folder: Path, workers: int | None = 1) -> Iterator[tuple[str, xr.Dataset]]:
-    """Flights of RotorPy by airframe."""
+    """Return flights of RotorPy by airframe."""
     from .rotorpy_flights import AIRFRAMES, plans, rotorpy_flights
 
     assert task.rotorpy_s is not None
@@ -108,10 +108,10 @@ def foreign(task: Task, folder: Path, workers: int | None = 1) -> Iterator[tuple
 
 
 def convert(source: Path | None, folder: Path, rate_hz: float) -> None:
-    """Trials of BROAD at a task's rate, with what their authors score, where they are not there yet.
+    """Convert missing trials of BROAD to the rate of the task, with the samples that their authors score.
 
     Raises:
-        ValueError: The folder holds no trial.
+        ValueError: The folder contains no trial.
     """
     if source is None:
         return
@@ -151,7 +151,7 @@ def _group(dataset: xr.Dataset, skip_s: float, name: str) -> Group:
 
 
 def given_start(group: Group) -> Flights:
-    """Its flights from the sample on that follows the first with a known attitude, which is given."""
+    """Return flights with a known start: the first known attitude, one sample before the first."""
     attitude = roll_pitch_from_quat(group.flights.quat)
     known = np.isfinite(attitude).all(axis=(0, 2))
     first = int(np.argmax(known))

@@ -1,4 +1,4 @@
-"""An entry of a task: its card, what it got, and the file that says so."""
+"""An entry of a task: card, costs, results, and file."""
 
 from dataclasses import dataclass, field
 from importlib.metadata import packages_distributions, version
@@ -23,80 +23,81 @@ from ..bench.experiment import Knowledge
 
 FILE = "entry.json"
 PACKAGED = "filters.packaged:"
-"""Where the filters of other packages that ship are made."""
+"""Module of the shipped filters from other packages."""
 TAKE_ROTOR_SPEEDS = ("imm",)
-"""Estimators that ship and use them; every other filter accepts them and does not."""
+"""Shipped estimators that use rotor speeds; other filters accept but ignore them."""
 
 
 @dataclass(frozen=True)
 class Card:
-    """What an entry is, and what it is given."""
+    """Description of an entry."""
 
     name: str
-    """In the table: a shipped name, the name of a class, or of a file of weights."""
+    """Name in the table: a shipped name, or the name of a class or a weights file."""
     source: str
-    """As `--estimator` was given it."""
+    """Value of `--estimator`."""
     about: str
-    """The first line of its class's docstring."""
+    """First line of the class's docstring."""
     rate_hz: float
     """Samples per second."""
     given: tuple[str, ...]
-    """Beside the IMU: airframe, initial attitude, rotor_vel, mag; the tracks follow these."""
+    """Inputs other than the IMU, which determine the track: airframe, initial attitude, rotor_vel, mag."""
     parameter_count: int
-    """Numbers that were learnt or tuned: a class says `parameter_count`, else those that it declares."""
+    """Number of trained or tuned parameters: the class's `parameter_count`, or the number of declared
+    parameters."""
     operations: float | None
-    """Operations per sample: stated by the class in `operations`, or else counted in its Python source."""
+    """Operations per sample: the class's `operations`, or the number counted in its Python source."""
     packages: dict[str, str]
-    """Installed packages that its file imports, and their versions."""
+    """Installed packages that the entry imports, with versions."""
 
     @property
     def compiled(self) -> bool:
-        """Whether what it computes is, or may be, in a package that is not of Python source."""
+        """Whether the entry may compute in compiled packages."""
         shipped = SHIPPED.get(self.source)
         return bool(self.packages) or (shipped is not None and shipped.made_by.startswith(PACKAGED))
 
     @property
     def track(self) -> str:
-        """What it was given, in words."""
+        """The inputs, in words."""
         return " + ".join(["IMU", *self.given])
 
     @property
     def knowledge(self) -> tuple[Knowledge, ...]:
-        """What it is given beside readings."""
+        """The inputs other than readings."""
         return tuple(each for each in get_args(Knowledge) if each in self.given)
 
 
 @dataclass(frozen=True)
 class Cost:
-    """What a sample of one vehicle costs."""
+    """Cost of a sample of one vehicle."""
 
     ns: float
-    """Time in Python, median over samples [ns]."""
+    """Median time per sample in Python [ns]."""
     footprint: int
-    """State and parameters [bytes], as NeuroBench's footprint: numbers in arrays that the instance holds."""
+    """Size of state and parameters in arrays of the instance, as in NeuroBench's footprint [bytes]."""
     operations: float | None
-    """Of a network on the chip synaptic events (NeuroBench: effective accumulates); else operations on
-    numbers; None where they are not known."""
+    """Operations per sample: synaptic events for a network on the chip (NeuroBench: effective accumulates),
+    otherwise arithmetic operations; None if unknown."""
     nanojoules: float | None
-    """Modelled energy [nJ]."""
+    """Modelled energy per sample [nJ]."""
     model: str
-    """How operations and energy were found."""
+    """Method by which operations and energy were determined."""
 
 
 @dataclass(frozen=True)
 class PartScore:
-    """One part without a loop."""
+    """Score on one part of the recorded data."""
 
     values: dict[str, float] = field(default_factory=dict)
-    """RMS of the inclination error of each flight or trial [deg]."""
+    """RMS inclination error of each flight or trial [deg]."""
     note: str = ""
-    """Why there is no mean."""
+    """Why there is no mean; empty if there is one."""
     flaw: str = ""
-    """Why the entry must not be ranked."""
+    """Why the entry must not be ranked; empty if it may be."""
 
     @property
     def errors(self) -> Summary | None:
-        """The errors, where they have a mean."""
+        """The errors, if they have a mean."""
         return Summary(np.array(list(self.values.values()))) if self.values and not self.note else None
 
 
@@ -107,43 +108,43 @@ class LoopFlight:
     scenario: str
     seed: int
     cause: str
-    """Of the crash; empty without one."""
+    """Cause of a crash; empty without one."""
     flown_s: float
     error_deg: float | None
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A file entry.json."""
+    """Content of a file entry.json."""
 
     version: str
-    """Of the task."""
+    """Version of the task."""
     task: str
-    """Digest of what the task says."""
+    """Digest of the task."""
     code: str
-    """Digest of the code that flew and scored."""
+    """Digest of the code of flights and scores."""
     entry: str
-    """Digest of the entry's own files."""
+    """Digest of the entry's files."""
     data: dict[str, str]
     """Digests of the parts' data."""
     card: Card
     cost: Cost | None
     parts: dict[str, PartScore]
     flights: tuple[LoopFlight, ...]
-    """Of the closed loop; none where it was not flown."""
+    """Flights in closed loop; empty if it was not flown."""
     reasons: tuple[str, ...]
-    """Why it is not ranked, each to follow its name; empty if it is."""
+    """Why the entry is not ranked, as ends of sentences after its name; empty if it is ranked."""
 
 
 ENTRY = TypeAdapter(Entry)
-"""Writes an entry as JSON, and reads it."""
+"""Converts an entry to JSON and back."""
 
 
 def card_of(source: str, rate_hz: float) -> Card:
-    """The card of an estimator, by its name, file or class.
+    """Make the card of an estimator, given by name, file or class.
 
     Raises:
-        ValueError: No such class, or its `given` holds something that cannot be given.
+        ValueError: The class does not exist, or its `given` has an invalid item.
     """
     made: Any = load_own(source, GROUP) if is_custom(source) else None
     if made is None:
@@ -173,16 +174,16 @@ def card_of(source: str, rate_hz: float) -> Card:
 
 
 def digest_of_entry(source: str) -> str:
-    """Digest of an entry's own files; of what ships its name: the code's digest has the rest."""
+    """Return the digest of an entry's files; for a shipped estimator, that of its name."""
     files = [Path(source)] if source.endswith(".safetensors") else own_sources(source)
     return fingerprint(Path(source).name, [content_digest(file.read_bytes()) for file in files])
 
 
 def load_entry(path: Path) -> Entry:
-    """An entry from its file.
+    """Load an entry from its file.
 
     Raises:
-        ValueError: It is not one.
+        ValueError: The file is not an entry.
     """
     try:
         return ENTRY.validate_json(path.read_bytes())
@@ -191,7 +192,7 @@ def load_entry(path: Path) -> Entry:
 
 
 def is_network(source: str) -> bool:
-    """Whether an estimator is a network, one that ships or a file of weights."""
+    """Return whether an estimator is a network, shipped or a weights file."""
     return source in (*NETWORKS, *shipped_names()) or is_weights(source)
 
 

@@ -1,4 +1,4 @@
-"""What is checked and measured of an entry before its runs: its rules, its time, its size, its energy."""
+"""Checks and measurements of an entry before its runs: rules, time, size and energy."""
 
 import os
 import signal
@@ -31,15 +31,15 @@ from .operations import counted_operations
 from .specification import Task
 
 TIMED = 1000
-"""Samples that are timed."""
+"""Number of timed samples."""
 PATIENCE_S = 120.0
-"""Time for compilation, and for all checks together [s]."""
+"""Time limits for compilation and for all checks together [s]."""
 CHIP_S = 10.0
-"""Length of the flight on which a network's operations are counted [s]."""
+"""Duration of the flight on which a network's operations are counted [s]."""
 IN_FLOATS = "att-rnn"
-"""The circuit that ships, in floats."""
+"""Name of the shipped circuit in floats."""
 TREE_DEPTH = 6
-"""How deep an instance is searched for its numbers."""
+"""Depth to which an instance is searched for numbers."""
 
 _watched: list[str] = []
 _opened: list[str] = []
@@ -47,7 +47,7 @@ _hooked: list[bool] = []
 
 
 class Examined(NamedTuple):
-    """What was found of an entry."""
+    """Result of the examination of an entry."""
 
     cost: Cost | None
     reasons: tuple[str, ...]
@@ -55,7 +55,7 @@ class Examined(NamedTuple):
 
 
 def examine(task: Task, card: Card, folder: Path) -> Examined:
-    """Check and measure an entry on flights of a task's data, whose folder it must not open."""
+    """Check and measure an entry on flights of a task, whose data folder it must not open."""
     flights = next(groups(task, task.parts[0], folder)).flights
     reasons, opened, cost, passed = list[str](), list[str](), None, False
     too_long = f"took more than {PATIENCE_S:g} s for its checks"
@@ -75,7 +75,7 @@ def examine(task: Task, card: Card, folder: Path) -> Examined:
 
 
 def cost_of(card: Card, made: AttitudeEstimator, flights: Flights) -> Cost:
-    """What a sample of one vehicle costs, measured, counted or as the card says."""
+    """Return the cost of a sample of one vehicle: measured, counted, or stated by the card."""
     one = flights.readings.map(lambda each: each[:1, :TIMED])
     sensors = tuple(name for name in one.others if name in card.given)
     made.reset(1, roll_pitch=None)
@@ -98,7 +98,7 @@ def cost_of(card: Card, made: AttitudeEstimator, flights: Flights) -> Cost:
 
 
 def energy_of(card: Card, flights: Flights) -> tuple[float | None, float | None, str]:
-    """Operations of a sample, their modelled energy [nJ], and how they were found."""
+    """Return operations per sample, their modelled energy [nJ], and the method."""
     chip = "counted on the emulated chip; Davies et al. 2018"
     source = card.source
     if is_network(source) and source != IN_FLOATS:
@@ -124,7 +124,7 @@ def energy_of(card: Card, flights: Flights) -> tuple[float | None, float | None,
 
 
 def footprint(made: object) -> int:
-    """Bytes of the numbers that an instance holds, in arrays and tensors, in lists and in its own objects."""
+    """Return the size of all numbers of an instance, in arrays, tensors, lists and objects [bytes]."""
     seen: set[int] = set()
 
     def size(value: Any, depth: int) -> int:
@@ -155,7 +155,7 @@ def footprint(made: object) -> int:
 
 @contextmanager
 def watching(*folders: Path) -> Iterator[list[str]]:
-    """A list of the files below some folders that are opened inside, by Python's own means."""
+    """Record which files below some folders are opened by Python within this context."""
     if not _hooked:
         sys.addaudithook(_audit)
         _hooked.append(True)
@@ -177,13 +177,13 @@ def _audit(event: str, arguments: tuple[Any, ...]) -> None:
 
 
 def opened_files(opened: list[str]) -> list[str]:
-    """The reason why an entry that opened files of the data is not ranked."""
+    """Return the reason why an entry that opened data files is not ranked."""
     return [f"opened {Path(opened[0]).name}, which holds the task's data"] if opened else []
 
 
 @contextmanager
 def deadline(seconds: float, why: str) -> Iterator[None]:
-    """End what is done inside after a time, with a TimeoutError, where signals can be had."""
+    """Raise a TimeoutError in this context after a time, if signals are available."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -1,8 +1,8 @@
-"""Operations of a sample, counted: an estimator runs from Python source in which every one adds to a counter.
+"""Counting of operations: an estimator runs from modified Python source that counts its arithmetic.
 
-A process of its own imports the estimator with compilation switched off and its syntax tree changed: +, −, ×,
-÷, powers, products of matrices and functions such as a square root count one for each float that they make.
-What compiled packages do is not seen.
+A separate process imports the estimator with compilation switched off and a modified syntax tree. Each of +,
+−, ×, ÷, powers, matrix products and functions such as square roots counts one operation per resulting float.
+Operations in compiled packages are not counted.
 """
 
 import ast
@@ -21,16 +21,16 @@ FUNCTIONS = {
     "sqrt", "sin", "cos", "tan", "arcsin", "arccos", "arctan", "arctan2", "asin", "acos", "atan", "atan2",
     "exp", "log", "hypot", "sum", "mean", "dot", "cross", "prod", "norm",
 }  # fmt: skip
-"""Of `math`, `numpy` and `numpy.linalg`; of a sum each term counts."""
+"""Counted functions of `math`, `numpy` and `numpy.linalg`; each term of a sum counts."""
 SAMPLES = 50
-"""Samples over which operations are counted, after as many others."""
+"""Number of samples for which operations are counted, after the same number of other samples."""
 LONGEST_S = 60.0
 
 _counted = [0]
 
 
 def counted_operations(source: str, rate_hz: float) -> float | None:
-    """Operations of a sample of an estimator; None where they cannot be counted."""
+    """Return the operations of an estimator per sample; None if they cannot be counted."""
     folders = [str(ROOT), *filter(None, sys.path)]
     environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(folders)}
     command = [sys.executable, "-P", "-B", "-m", __name__, source, str(rate_hz)]
@@ -69,7 +69,7 @@ def _call(name: str, *arguments: ast.expr) -> ast.Call:
 
 
 def _floats(value: Any) -> int:
-    """How many floats a value is."""
+    """Return the number of floats in a value."""
     if isinstance(value, float):
         return 1
     return value.size if getattr(getattr(value, "dtype", None), "kind", "") == "f" else 0
@@ -93,7 +93,7 @@ def _called(function: Callable[..., Any], *arguments: Any, **options: Any) -> An
 
 
 def _main(source: str, rate_hz: float) -> None:
-    """Print the operations of a sample."""
+    """Print the operations per sample."""
     builtins.__dict__.update(__counted__=_count, __product__=_product, __called__=_called)
     loader = importlib.machinery.SourceFileLoader
     compile_plainly = loader.source_to_code

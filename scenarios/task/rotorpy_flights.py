@@ -1,9 +1,9 @@
-"""Flights of RotorPy, a simulator by other authors, as data for estimators.
+"""Flights simulated by RotorPy, a simulator by other authors, as data for estimators.
 
 Dynamics, aerodynamics, wind, trajectories and controller are those of RotorPy (Folk, Paulos & Kumar,
 "RotorPy: A Python-based multirotor simulator with aerodynamics for education and research", 2023,
-arXiv:2306.04485). The IMU alone is ours: `quadsim.imu` on the body rate and on the specific force of
-RotorPy's state derivative. A second of flight takes about a third of a second of CPU time.
+arXiv:2306.04485). The IMU is that of quadsim: `quadsim.imu`, applied to the body rate and the specific force
+of RotorPy's state derivative. A second of flight takes about a third of a second of CPU time.
 """
 
 import json
@@ -35,12 +35,12 @@ Array = NDArray[np.float64]
 
 RATE_HZ = 200.0
 WARMUP_S, DURATION_S = 4.0, 60.0
-"""Simulated before recording, and recorded [s]."""
+"""Duration before the recording, and duration of the recording [s]."""
 AIRFRAMES: dict[str, dict[str, Any]] = {
     "hummingbird": hummingbird_params.quad_params,
     "crazyflie": crazyflie_params.quad_params,
 }
-"""RotorPy's constants of each airframe."""
+"""Module of RotorPy with the constants of each airframe."""
 RECORDED = {
     "position": "x",
     "velocity": "v",
@@ -50,23 +50,23 @@ RECORDED = {
     "rotor_vel": "rotor_speeds",
     "accel": "accel",
 }
-"""Arrays of a flight, and what RotorPy's state calls them; the acceleration is in the world."""
+"""Arrays of a flight and their names in RotorPy's state; the acceleration is in world axes."""
 
 
 class Plan(NamedTuple):
-    """A flight."""
+    """Parameters of a flight."""
 
     airframe: str
     path: Literal["lissajous", "waypoints"]
     wind: Literal["sinusoid", "dryden"]
     yaw_rate: float
-    """Commanded, constant [rad/s]. RotorPy's controller diverges where the yaw turns fast."""
+    """Constant commanded yaw rate [rad/s]. RotorPy's controller diverges at high yaw rates."""
     seed: int
-    """Of path, wind and IMU."""
+    """Seed of path, wind and IMU."""
 
 
 def plans(airframe: str, seed: int) -> tuple[Plan, ...]:
-    """Four flights of an airframe: two paths, in two winds; seeds count from the first one's."""
+    """Return four flights of an airframe: two paths in two winds, with consecutive seeds."""
     return (
         Plan(airframe, "lissajous", "sinusoid", 0.0, seed),
         Plan(airframe, "lissajous", "dryden", 0.3, seed + 1),
@@ -76,14 +76,14 @@ def plans(airframe: str, seed: int) -> tuple[Plan, ...]:
 
 
 def lissajous(rng: np.random.Generator) -> Any:
-    """A Lissajous curve with peak accelerations of 2 to 4.5 m/s² on each axis."""
+    """Make a Lissajous curve with peak accelerations of 2 to 4.5 m/s² on each axis."""
     amplitude, accel = rng.uniform(2.0, 4.0, 2), rng.uniform(2.0, 4.5, 2)
     (a, b), phase = np.sqrt(accel / amplitude), rng.uniform(0.0, 2.0 * np.pi)
     return TwoDLissajous(A=amplitude[0], B=amplitude[1], a=a, b=b, delta=phase, height=2.0)  # pyright: ignore
 
 
 def waypoints(rng: np.random.Generator, duration_s: float) -> Any:
-    """Minimum snap at 2 m/s in the mean, for a time or longer, through random points at least 2.5 m apart."""
+    """Make a minimum-snap path through random points at least 2.5 m apart, with a mean speed of 2 m/s."""
     speed, points = 2.0, [np.zeros(3)]
     while np.linalg.norm(np.diff(points, axis=0), axis=1).sum() < speed * duration_s:
         point = rng.uniform((-3.0, -3.0, -1.0), (3.0, 3.0, 1.0))
@@ -93,10 +93,10 @@ def waypoints(rng: np.random.Generator, duration_s: float) -> Any:
 
 
 def wind_of(plan: Plan, rng: np.random.Generator) -> Any:
-    """RotorPy's sinusoids of up to 3 m/s and 0.3 Hz, or its Dryden turbulence around a mean wind.
+    """Make RotorPy's sinusoids of up to 3 m/s and 0.3 Hz, or its Dryden turbulence around a mean wind.
 
-    Its turbulence is driven by noise that does not depend on the step: at 200 Hz the standard deviation is
-    about a hundredth of `sig_wind`.
+    The noise of RotorPy's turbulence does not depend on the step: at 200 Hz, the standard deviation is about
+    a hundredth of `sig_wind`.
     """
     if plan.wind == "sinusoid":
         frequency = rng.uniform(0.02, 0.3, 3)
@@ -110,11 +110,11 @@ def fly(plan: Plan, duration_s: float = DURATION_S, warmup_s: float = WARMUP_S) 
 
     Args:
         plan: The flight.
-        duration_s: Recorded [s].
-        warmup_s: Simulated before that [s].
+        duration_s: Duration of the recording [s].
+        warmup_s: Duration before the recording [s].
 
     Returns:
-        Arrays (T, ·), each row of one instant: position [m], velocity and wind [m/s] in the world, z up;
+        Arrays (T, ·), each row for one instant: position [m], velocity and wind [m/s] in world axes, z up;
         quat_WB, scalar first; ang_vel [rad/s] and specific_force [m/s²], R_BW (dv/dt + g e_z), in body axes;
         rotor_vel [rad/s].
     """
@@ -141,7 +141,7 @@ def fly(plan: Plan, duration_s: float = DURATION_S, warmup_s: float = WARMUP_S) 
 
 
 def hover(constants: Mapping[str, Any], position: Array) -> dict[str, Array]:
-    """RotorPy's state of an airframe that hovers at a position [m]; its quaternion is scalar last."""
+    """Return RotorPy's state of an airframe that hovers at a position [m]; the quaternion is scalar-last."""
     rotors = constants["num_rotors"]
     speed = np.sqrt(constants["mass"] * GRAVITY / (rotors * constants["k_eta"]))
     still = {"v": np.zeros(3), "q": np.array([0.0, 0.0, 0.0, 1.0]), "w": np.zeros(3), "wind": np.zeros(3)}
@@ -149,7 +149,7 @@ def hover(constants: Mapping[str, Any], position: Array) -> dict[str, Array]:
 
 
 def vehicle(airframe: str) -> Vehicle:
-    """An airframe with RotorPy's constants; its outline is that of our file of the same name."""
+    """Return an airframe with RotorPy's constants, and the outline of the vehicle with the same name."""
     constants = AIRFRAMES[airframe]
     area = (2.0 * constants[key] / AIR_DENSITY for key in ("c_Dx", "c_Dy", "c_Dz"))  # c |v| v = ½ ρ A |v| v
     turns = zip(constants["rotor_pos"].values(), constants["rotor_directions"], strict=True)
@@ -174,7 +174,7 @@ def vehicle(airframe: str) -> Vehicle:
 
 
 def stored(plan: Plan, file: Path, duration_s: float = DURATION_S) -> dict[str, Array]:
-    """A flight from its file; simulated if that is missing, or of another plan, RotorPy or module."""
+    """Load a flight from its file; simulate it if the file is missing or was made by another plan or code."""
     digest = fingerprint(plan, duration_s, version("rotorpy"), file_digest(Path(__file__)))
     if file.is_file():
         with np.load(file) as found:
@@ -192,14 +192,14 @@ def rotorpy_flights(
     duration_s: float = DURATION_S,
     workers: int | None = None,
 ) -> xr.Dataset:
-    """Flights of one airframe as one of our datasets.
+    """Return flights of one airframe as a dataset.
 
     Args:
         planned: The flights.
-        folder: Where they are stored.
-        imu: The IMU, which is switched on when recording begins.
+        folder: Folder of the stored flights.
+        imu: The IMU, which is switched on at the start of the recording.
         duration_s: Length of each flight [s].
-        workers: Processes that simulate what is missing.
+        workers: Number of processes that simulate missing flights.
     """
     airframe = planned[0].airframe
     jobs = {plan: (plan, folder / f"{airframe}-{plan.seed}.npz", duration_s) for plan in planned}

@@ -1,4 +1,4 @@
-"""Run a task for entries, and write the file of each; a run that was stopped goes on where it was."""
+"""Running of a task for entries; a run that was stopped can be resumed."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
@@ -27,7 +27,7 @@ from .specification import BROAD, Task
 
 EXAMINED, SCORE = TypeAdapter(Examined), TypeAdapter(PartScore)
 LONGEST = 20.0
-"""Times the length of the allowed time after which a part is ended."""
+"""Multiple of the time limit after which a part is stopped."""
 
 
 def run_task(
@@ -43,15 +43,16 @@ def run_task(
 
     Args:
         task: The task.
-        sources: Entries: names, weights or classes, as `estimators.create` takes them.
+        sources: Entries: names, weights or classes, as for `estimators.create`.
         out: Folder for all of them, and for the data.
-        recordings: Folder of BROAD, as its authors publish it; None: that part is left out.
-        workers: Processes, by default one for each CPU.
-        progress: A bar.
+        recordings: Folder of BROAD, as published by its authors; None leaves this part out.
+        workers: Number of processes, by default one per CPU.
+        progress: A progress bar.
 
     Raises:
-        ValueError: A bad argument, two entries of one name, or a folder that another process writes.
-        OSError: Something cannot be written.
+        ValueError: An argument is invalid, two entries have the same name, or another process is writing to
+            `out`.
+        OSError: A file cannot be written.
     """
     cards = [card_of(source, task.rate_hz) for source in dict.fromkeys(sources)]
     if len({"data", *(card.name for card in cards)}) <= len(cards):
@@ -72,11 +73,11 @@ def _run_entry(
     workers: int | None,
     progress: Bar,
 ) -> Entry:
-    """Check an entry, score it on each part of the data and fly it, and write its file."""
+    """Check an entry, score it on each part of the data, fly it, and write its file."""
     folder, data, entry = out / card.name, out / "data", digest_of_entry(card.source)
 
     def file_of(what: str) -> Path:
-        """Where a finished run is: on a part of the data, or of the checks."""
+        """Return the file of a finished run on a part of the data, or of the checks."""
         given = what, about["task"], about["code"], about["data"].get(what), entry, asdict(card)
         return folder / "runs" / f"{what}-{fingerprint(*given)[:16]}.json"
 
@@ -110,7 +111,7 @@ def _run_entry(
 
 
 def score_part(task: Task, name: str, card: Card, data: Path) -> PartScore:
-    """Errors of an entry on a part."""
+    """Return the errors of an entry on a part."""
     found = list(groups(task, name, data))
     values: dict[str, float] = {}
     flaws: list[str] = []
@@ -130,7 +131,7 @@ def score_part(task: Task, name: str, card: Card, data: Path) -> PartScore:
 
 
 def _errors(task: Task, card: Card, group: Group, data: Path, flaws: list[str]) -> dict[str, float]:
-    """Errors on one group of flights, by their names; what speaks against the entry is added to `flaws`."""
+    """Return the errors on one group of flights by name; add flaws of the entry to `flaws`."""
     flights = given_start(group) if "initial attitude" in card.given else group.flights
     others = {name: value for name, value in flights.readings.others.items() if name in card.given}
     readings = flights.readings._replace(**dict.fromkeys(flights.readings.others))._replace(**others)
@@ -149,7 +150,7 @@ def _errors(task: Task, card: Card, group: Group, data: Path, flaws: list[str]) 
 def fly_entry(
     task: Task, card: Card, out: Path, workers: int | None, progress: Any
 ) -> tuple[tuple[LoopFlight, ...], list[str]]:
-    """The flights of an entry in closed loop, and why it must not be ranked."""
+    """Return the flights of an entry in closed loop, and why it must not be ranked."""
     experiment = task.experiment(card.knowledge)
     settings = FlightSettings(experiment.seeds, experiment.seed or 0, task.rate_hz)
     results = bench(

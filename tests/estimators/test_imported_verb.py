@@ -31,7 +31,7 @@ def test_the_verb_writes_integers_c_and_a_report(tmp_path, printed):
     out = tmp_path / "chip"
     last = printed("export", "a.nir", "--set", "dt=1e-4", "--set", "steps=200", "--out", out).splitlines()[-1]
     report = json.loads((out / "report.json").read_text())
-    same = f"{100 * report['agreement']:.1f} % of {report['spikes']} spikes as in floats"
+    same = f"{100 * report['agreement']:.1f} % of {report['spikes']} spikes agree with floats"
     assert last == f"{out}: 1 of a chip's 128 cores, {same}"
     assert report["latency_steps"] == 2
     assert report["energy_nJ_per_step"] > 1.0

@@ -262,7 +262,7 @@ def test_a_flight_that_is_terminated_leaves_no_files(program, tmp_path):
         (
             "#undef USE_IMU_CALC\n#define SIMULATOR_MULTITHREAD",
             "",
-            "compiled by make and gcc, and there is no make",
+            "needs make and gcc, and make is not installed",
         ),
         (
             "#undef USE_IMU_CALC\n#define SIMULATOR_MULTITHREAD",

@@ -80,19 +80,19 @@ def test_everything_that_ships_can_be_listed_with_a_sentence(printed):
         ("generate --out x.zarr --set rate=3", "50 to 2000 Hz"),
         ("generate --out x.zarr --workers many", "should be a valid integer"),
         ("report missing.zarr --verify", "missing.zarr"),
-        ("report missing.zarr --data x.zarr", "--data is not for a dataset"),
+        ("report missing.zarr --data x.zarr", "--data does not apply to a dataset"),
         ("export missing.safetensors --out x --format c99", "missing.safetensors"),
         ("train --data missing.zarr --out run", "missing.zarr"),
         ("train --data missing.zarr --out run --set epochs", "name=value"),
         ("train --data missing.zarr --out run --set epoch=1", "valid: vectors, gates"),
-        ("train --data missing.zarr --out run --set seed=3", "option of its own"),
-        ("train --data missing.zarr --out run --set rate_targets=(0.1,0.1)", "lists are [1, 2]"),
+        ("train --data missing.zarr --out run --set seed=3", "another option sets"),
+        ("train --data missing.zarr --out run --set rate_targets=(0.1,0.1)", "a list as [1, 2]"),
         ("tune --estimator mahony --data missing.zarr --out bad.toml", "bad.toml: not valid TOML"),
         ("evaluate --data missing.zarr", "missing.zarr"),
         ("report notes.txt", "notes.txt"),
         (
             "report empty --out x.html",
-            "empty: holds no finished entry of a task, no benchmark and no dataset",
+            "empty: contains no finished entry of a task, no benchmark and no dataset",
         ),
         ("generate --out x.zarr --set vehicle=bad.toml", "bad.toml: not valid TOML: Invalid value (at line"),
         ("identify nowhere.zarr", "nowhere.zarr"),
@@ -101,13 +101,13 @@ def test_everything_that_ships_can_be_listed_with_a_sentence(printed):
         ("fly hoover", "hover"),
         ("fly hover --rerun x.mp4", "x.mp4: should end in .rrd"),
         ("fly hover --mcap /proc/x.mcap", "/proc/"),
-        ("evaluate --data missing.zarr --mcap x.mcap", "show one log"),
-        ("evaluate --logs a --logs b --rerun x.rrd", "show one log"),
+        ("evaluate --data missing.zarr --mcap x.mcap", "need exactly one --logs"),
+        ("evaluate --logs a --logs b --rerun x.rrd", "need exactly one --logs"),
         ("evaluate --data missing.zarr --set tunning=x", 'did you mean "tuning"'),
         ("bench --scenario hover --estimator mahoni", "mahony"),
         ("bench --scenario missing.toml", "missing.toml"),
         ("bench --scenario hover --experiment rain", "breaking-points"),
-        ("bench --experiment held-out --seed 1", "seed of its own"),
+        ("bench --experiment held-out --seed 1", "its own seed"),
         ("bench --scenario hover --set external=vicon", "vicon"),
         ("paper --out x --only fig12", "fig"),
         ("paper --out x --preset fast", "full and quick"),
@@ -140,7 +140,7 @@ def test_tuning_writes_the_whole_command_and_evaluation_reads_the_values(printed
 
 def test_a_dataset_is_described_verified_drawn_and_exported(printed, dataset, tmp_path):
     out = printed("report", dataset, "--verify", "--out", "picture.png")
-    assert "2 flights are whole" in out
+    assert "2 flights match their checksums" in out
     assert "max_tilt_deg" in out
     assert (tmp_path / "picture.png").stat().st_size > 10_000
     printed("export", dataset, "--out", "flights.nc", "--format", "netcdf")
@@ -201,9 +201,9 @@ def test_bench_leaves_the_slow_out_and_its_reports_say_how_they_were_made(printe
     monkeypatch.setattr("estimators.names", lambda: ["truth", "mahony", "ukf-filterpy"])
     flown = ["--scenario", "hover", "--seeds", 1, "--duration", 0.5, "--workers", 1, "--out", tmp_path]
     out = printed("bench", *flown)
-    assert "Without ukf-filterpy (ten times as slow as ekf-filterpy), att-snn (the" in out
+    assert "Not included: ukf-filterpy (ten times as slow as ekf-filterpy), att-snn (the" in out
     assert "2 flights, 1 s in the air; " in out
-    assert "In these flights, the airframe is hummingbird; its drag is known; the IMU is adis16448" in out
+    assert "The airframe is hummingbird. Its drag is known. The IMU is adis16448." in out
     text = (tmp_path / "report.html").read_text()
     assert "<dt>command</dt>" in text
     assert "--scenario hover --seeds 1" in text
@@ -219,7 +219,7 @@ def test_ctrl_c_exits_as_interrupted_also_where_a_training_ends_in_order(quadsim
     monkeypatch.setattr("training.epochs.run", lambda *_, **__: stopped)
     code, out, err = quadsim("train", "--preset", "paper", "--data", "data.zarr", "--out", "run")
     assert code == 130
-    assert "interrupted; finished work stays" in err
+    assert "interrupted; finished work is kept" in err
     assert "best.safetensors" in out
 
 
@@ -286,5 +286,5 @@ def test_a_missing_package_is_one_line_with_its_extra(
     monkeypatch.delitem(sys.modules, "estimators.export.nir_graph", raising=False)
     monkeypatch.setitem(sys.modules, module, None)
     line = refused(*command.split())
-    assert line == f'quadsim: this needs the package {package}: pip install "quadsim[{extra}]"'
+    assert line == f'quadsim: the package {package} is missing: pip install "quadsim[{extra}]"'
     assert not (tmp_path / "x").exists()

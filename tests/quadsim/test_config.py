@@ -92,7 +92,7 @@ def test_error_says_file_key_value_and_what_is_allowed(tmp_path, text, parts):
         ("./gone.toml", r"gone\.toml: no such file; presets: adis16448"),
         (".", "is a directory"),
         ("./binary.toml", "not a text file"),
-        ("./large.toml", "at most 1 MB are read"),
+        ("./large.toml", "at most 1 MB are allowed"),
     ],
 )
 def test_what_cannot_be_read_is_named(tmp_path, monkeypatch, source, message):

@@ -113,6 +113,6 @@ def test_the_command_writes_a_vehicle_and_a_picture_and_leaves_out_logs_without_
 def test_a_file_of_another_kind_is_not_replaced(tmp_path, still, kind):
     other = tmp_path / "mine.toml"
     other.write_text('description = "a scenario"\n')
-    with pytest.raises(ValueError, match=f"mine.toml is there already, and describes no {kind}"):
+    with pytest.raises(ValueError, match=f"mine.toml exists and does not describe a {kind}"):
         identify_verb([tmp_path / "log.ulg"], out=other, still=still)
     assert other.read_text().startswith("description")

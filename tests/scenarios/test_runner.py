@@ -171,7 +171,7 @@ def test_another_vehicle_is_flown_with_its_own_tuning_and_a_mismatch_is_warned_o
     assert flown().warnings == []
     assert flown(vehicle="px4-quad", imu="px4-mini").warnings == []
     (line,) = flown(vehicle="crazyflie").warnings
-    assert "for the hummingbird, not for crazyflie with adis16448, which was simulated: vqf" in line
+    assert "for the hummingbird, not for the simulated crazyflie with adis16448: vqf" in line
     (line,) = flown(vehicle="px4-quad", imu="px4-mini", tuning="hummingbird-adis16448").warnings
     assert "quadsim tune" in line
     ours, given = flown(vehicle="px4-quad").rows[0], flown(vehicle="px4-quad", tuning="px4-quad-px4-mini")

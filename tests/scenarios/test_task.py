@@ -280,10 +280,10 @@ def test_the_command_runs_a_task_and_merges_folders(place, printed, refused, tmp
     assert "mahony is the only ranked entry" in alone
     assert "Of a colleague" in (tmp_path / "b.html").read_text()
     for more, why in {
-        ("--seeds", 3): "--seeds is not for --task",
+        ("--seeds", 3): "--seeds cannot be combined with --task",
         ("--set", "rate=100"): 'unknown key "rate"; valid: broad',
         (): "give at least one --estimator",
     }.items():
         assert why in refused(*run_it, *more, *(("--estimator", "mahony") if more else ()))
     (tmp_path / "empty").mkdir()
-    assert "holds no entry" in refused("report", tmp_path / "empty", tmp_path / "empty")
+    assert "contains no entry" in refused("report", tmp_path / "empty", tmp_path / "empty")

@@ -75,7 +75,7 @@ HEADLINES = {
     ),
     "the best crashes in most": (
         {"x": {"a": [crash(5.0), crash(5.0), 1.0]}, "y": {"a": [crash(5.0)] * 3}},
-        "In a, no estimator is fit to fly: x crashed in 2 of 3 flights, the others in more.",
+        "In a, no estimator is fit to fly: x crashed in 2 of 3 flights, and the others in more.",
     ),
     "all that do not differ significantly are named": (
         {"x": {"a": [1.0] * 4}, "y": {"a": [1.4, 0.8, 1.4, 0.8]}, "z": {"a": [1.3, 0.9, 1.3, 1.0]},
@@ -189,9 +189,9 @@ def test_every_verdict_says_on_what_condition_it_holds_and_what_to_fly_elsewhere
     }
     line = " ".join(verdict(benchmark({"x": {k: [1.0] for k in "abc"}}, scenarios=scenarios)).lines)
     for part in (
-        "In these flights, the airframe is hummingbird; its drag is known in 1 scenario, 2 times the known "
-        "value in 1 scenario and not known in 1 scenario; the IMU is adis16448; the initial attitude is "
-        "given in 2 scenarios and not given in 1 scenario.",
+        "The airframe is hummingbird. Its drag is known in 1 scenario, 2 times the known value in 1 scenario "
+        "and not known in 1 scenario. The IMU is adis16448. The initial attitude is given in 2 scenarios and "
+        "not given in 1 scenario.",
         f"The recommendation of release {recommendation().release} is: {recommendation().sentence} It comes",
     ):
         assert part in line
@@ -228,7 +228,7 @@ def test_a_network_on_an_airframe_that_it_was_not_trained_on_is_warned_of():
     results = benchmark({name: {"a": [1.0]} for name in names}, scenarios=scenarios)
     trained = [line for line in results.warnings if line.startswith("Trained")]
     assert trained == [
-        "Trained on the hummingbird, not on the crazyflie, which was simulated: att-snn-paper, "
+        "Trained on the hummingbird, not on the simulated crazyflie: att-snn-paper, "
         "control-attitude, control-attitude-loihi."
     ]
     at_home = replace(results, scenarios={"a": Scenario(description="")})

@@ -1,1 +1,1 @@
-"""Training of the circuit that follows turns, by gradients through time."""
+"""Training of the circuit that tracks rotations, by gradients through time."""

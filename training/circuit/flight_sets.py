@@ -1,4 +1,4 @@
-"""The flights that a circuit learns from where no data are given, as the preset lists them."""
+"""Training flights of a circuit, which the preset defines, for runs without data."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ FLIGHT_S = 60.0
 
 
 def own_flights(config: CircuitRun, out: Path, progress: Progress = lambda done, total: None) -> CircuitRun:
-    """The run with the datasets of its preset as data, which are made in `out` unless they are there.
+    """Return the run with the datasets of its preset as data; generate missing ones in `out`.
 
     Raises:
-        ValueError: An unknown recipe, vehicle or key, windows longer than the flights, or another training's
-            flights in the way.
+        ValueError: A recipe, a vehicle or a key is unknown, windows are longer than the flights, or `out`
+            contains flights of another training.
     """
     if config.window_s > FLIGHT_S:
         raise ValueError(f"window_s: {config.window_s:g}, but the flights have {FLIGHT_S:g} s")

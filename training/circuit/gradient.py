@@ -1,7 +1,8 @@
-"""The gradient of a run of the circuit in floats; n copies side by side.
+"""The gradient of a run of the circuit in floats, for n copies at once.
 
-It is the exact derivative of `estimators.circuit.floats.run_floats`, but for two things: what gates hear of
-is taken as given, and a gate that is shut or fully open keeps `LEAK` of the gradient that would move it back.
+The gradient is the exact derivative of `estimators.circuit.floats.run_floats`, with two exceptions: inputs of
+gates are treated as constants, and a closed or fully open gate passes the share `LEAK` of a gradient that
+would move it back.
 """
 
 from __future__ import annotations
@@ -30,13 +31,13 @@ from .streams import Streams
 Floats = NDArray[np.float32]
 LEAK = F(0.3)
 ROUNDING = 0.02
-"""Error below which the loss is quadratic rather than linear."""
+"""Error below which the loss is approximately quadratic, and above which it is linear."""
 LENGTH_COST = 0.02
-"""Weight of the squared difference of the estimate's length from 1."""
+"""Weight of the squared difference between the length of the estimate and 1."""
 
 
 def begin(p: Parameters, batch: Streams) -> tuple[Signals, Senses]:
-    """Room for a run over a batch, at its start: as always, or with attitude and bias known."""
+    """Return arrays for a run over a batch, with the initial state; attitude and bias can be known."""
     trace, senses = new_trace(p, len(batch.angle), len(batch.known))
     known = np.flatnonzero(batch.known)
     trace.x[0][:, :, known] = p.start[:, None, None] * batch.up[0][:, known]
@@ -46,16 +47,16 @@ def begin(p: Parameters, batch: Streams) -> tuple[Signals, Senses]:
 
 
 def loss_and_gradient(p: Parameters, batch: Streams, weights: Floats) -> tuple[float, Parameters, Signals]:
-    """The loss of a batch of streams and its gradient.
+    """Compute the loss of a batch of streams and its gradient.
 
     Args:
-        p: The circuit.
-        batch: Readings, and up as the target.
-        weights: Of the streams (n,).
+        p: Parameters of the circuit.
+        batch: Readings, and the world's z axis as the target.
+        weights: Weights of the streams (n,).
 
     Returns:
-        The loss: mean of √(|error|² + ROUNDING²) - ROUNDING of the normalised estimate, and the cost of its
-        length; its gradient, where `LEARNT` is not 0; and the trace.
+        The loss, which is the mean of √(|error|² + ROUNDING²) - ROUNDING of the normalised estimate plus the
+        cost of its length; the gradient of the parameters `LEARNT`; and the trace.
     """
     w, (trace, senses) = stepped(p), begin(p, batch)
     run_floats(batch.angle, batch.force, batch.again, w, trace, senses)
@@ -74,26 +75,26 @@ def loss_and_gradient(p: Parameters, batch: Streams, weights: Floats) -> tuple[f
 
 
 def run_batch(p: Parameters, batch: Streams) -> Signals:
-    """Run the circuit over streams."""
+    """Run the circuit on streams."""
     trace, senses = begin(p, batch)
     run_floats(batch.angle, batch.force, batch.again, stepped(p), trace, senses)
     return trace
 
 
 def cosine(trace: Signals, up: Floats) -> Floats:
-    """Of the angles between the estimates and up (T, 3, n), shape (T, n)."""
+    """Return the cosine of the angle between estimates and targets (T, 3, n), shape (T, n)."""
     estimate = trace.x[1:, OUTPUT]
     return (estimate * up).sum(1) / np.linalg.norm(estimate, axis=1)
 
 
 def _planes(values: Floats, axis: int) -> Floats:
-    """Sums over the horizontal axes, and the vertical one."""
+    """Return sums over the horizontal axes, and the vertical axis."""
     x, y, z = np.moveaxis(values, axis, 0)
     return np.stack([x + y, z], axis)
 
 
 def _loss(estimate: Floats, up: Floats, weights: Floats) -> tuple[float, Floats]:
-    """Loss of estimates (T, 3, n) and its gradient by them."""
+    """Return the loss of estimates (T, 3, n) and its gradient."""
     length = np.sqrt((estimate * estimate).sum(1, keepdims=True)) + F(1e-3)
     direction = estimate / length
     error = direction - up
@@ -107,7 +108,7 @@ def _loss(estimate: Floats, up: Floats, weights: Floats) -> tuple[float, Floats]
 
 @njit(cache=True, error_model="numpy", fastmath=True)
 def _backward(angle, force, w, trace, outer, slopes, of_opened):
-    """From the gradient by the estimates (T, 3, n) to that by all else, added to the last two."""
+    """Backpropagate the gradient of the estimates (T, 3, n), and add to the last two arguments."""
     n, (gates, vectors) = angle.shape[2], (w.give.shape[0], w.pull.shape[1])
     x_bar, earlier = np.zeros((vectors, 3, n), F), np.zeros((vectors, 3, n), F)
     b_bar, e_bar = np.zeros((3, n), F), np.zeros((gates, 3, n), F)
@@ -135,7 +136,7 @@ def _backward(angle, force, w, trace, outer, slopes, of_opened):
 
 @njit(fastmath=True)
 def _turned_back(turn, x, x_bar, earlier):
-    """Write the vectors' gradient before they turned; return that by the bias that turned them."""
+    """Backpropagate through the rotation of the vectors; return the gradient of the bias."""
     n = turn.shape[1]
     cross, by_bias = np.empty((3, n), F), np.zeros((3, n), F)
     for m in range(x.shape[0]):
@@ -154,7 +155,7 @@ def _turned_back(turn, x, x_bar, earlier):
 
 @njit(fastmath=True)
 def _mixed_back(force, x, x_bar, earlier, w, slopes):
-    """The same for the linear mix and the pull."""
+    """Backpropagate through the linear mixing and the correction by the specific force."""
     n, vectors = force.shape[1], x.shape[0]
     for i in range(3):
         for m in range(vectors):
@@ -172,7 +173,7 @@ def _mixed_back(force, x, x_bar, earlier, w, slopes):
 
 @njit(fastmath=True)
 def _learnt_back(x, d, b_bar, earlier, d_bar, w, slopes):
-    """The same for the products that the bias is learnt from."""
+    """Backpropagate through the products that update the bias."""
     n = b_bar.shape[1]
     for p in range(w.learn.size):
         m, q, kappa, total = w.pairs[p, 0], w.pairs[p, 1], w.learn[p], F(0)
@@ -187,7 +188,7 @@ def _learnt_back(x, d, b_bar, earlier, d_bar, w, slopes):
 
 @njit(fastmath=True)
 def _passed_back(force, x, x_bar, e, opened, d, d_bar, e_bar, earlier, w, slopes, of_opened):
-    """The same for innovations and gates."""
+    """Backpropagate through innovations and gates."""
     n, vectors = force.shape[1], x.shape[0]
     for q in range(e.shape[0]):
         for i in range(3):
@@ -218,7 +219,7 @@ def _passed_back(force, x, x_bar, e, opened, d, d_bar, e_bar, earlier, w, slopes
 
 @njit(cache=True, error_model="numpy", fastmath=True)
 def _gates(slope, trace, share, again, known, slopes, onset):
-    """From the gradient by the gates' openings to that by their weights, levels, onsets and resumptions."""
+    """Backpropagate from the gates to their weights, biases, starts and gains after gaps."""
     steps, gates, n = slope.shape
     u_bar = np.zeros((gates, n), F)
     for t in range(steps - 1, -1, -1):

@@ -1,4 +1,4 @@
-"""The IMUs that a circuit learns from: no two are alike, and none is worse than a given one."""
+"""Random IMUs for the training of a circuit, none worse than a given one."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ import numpy as np
 from quadsim.imu.spec import ImuSpec
 
 CALIBRATED = 0.2
-"""Least part of the worst IMU's constant errors, which a calibrated one has."""
+"""Constant errors of a calibrated IMU, as a share of those of the worst IMU."""
 NOISE = 6.0
-"""Largest ratio of the noise of the worst IMU, and of its vibration, to that of another one."""
+"""Largest ratio of the noise and vibration of the worst IMU to those of another one."""
 LOW_PASS_MAX_HZ = 90.0
 RANGE = 30.0
-"""Largest ratio of the range of a sensor to that of the worst."""
+"""Largest ratio of the range of a sensor to that of the worst IMU."""
 VIBRATE, DISPLACED, LOSE, SATURATE = 0.5, 0.5, 0.2, 0.15
-"""Shares of the IMUs that vibrate, sit off the centre of mass, lose samples, and saturate."""
+"""Shares of IMUs with vibration, with a lever arm, with lost samples, and with saturation."""
 
 
 def draw_imu(worst: ImuSpec, calibrated: bool, rng: np.random.Generator) -> ImuSpec:
-    """An IMU whose errors are parts of those of `worst`.
+    """Draw an IMU whose errors are random shares of those of `worst`.
 
     Args:
         worst: The IMU with the largest errors, the lowest corner of the low-pass and the smallest range.
-        calibrated: Whether biases, scales, misalignment and mounting are the least part of the worst.
-        rng: Source of all draws.
+        calibrated: Whether biases, scales, misalignment and mounting errors are as small as possible.
+        rng: Random generator.
     """
 
     def part() -> float:

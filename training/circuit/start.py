@@ -1,4 +1,4 @@
-"""The start of a trained circuit: what flight asks of it, and recorded flights do not teach."""
+"""Adjustment of the start of a trained circuit for flight in closed loop."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ from .streams import Streams
 QUICK = 4096 / (85 * 800)
 """Time constant of a gate that is open only at the start [s]."""
 CHANGES = (-1.5, -1.0, -0.5, 0.5, 1.0, 1.5)
-"""Of the opening of a slow gate at the start."""
+"""Changes of the initial value of a slow gate that are tried."""
 TILT_DEG, SETTLED_DEG, WAIT_S = 20.0, 1.0, 12.0
-"""A constant tilt [deg], the error from which on it counts as found [deg], and how long is looked at [s]."""
+"""A constant tilt [deg], the error below which it counts as found [deg], and the duration of the test [s]."""
 
 
 def as_flown(p: Parameters) -> Parameters:
-    """The circuit with the start that it flies with.
+    """Return the circuit with its start adjusted for flight.
 
-    Trained on recorded flights, which begin at any attitude, a circuit follows the force for half a second.
-    In closed loop this turns a vehicle over that begins with a dash: the force says level while it tilts.
-    So fast gates that are open at the start close five times sooner. To find a constant tilt soon all the
-    same, one slow gate, whichever does it best, begins more or less open.
+    Recorded flights begin at any attitude, so a trained circuit tracks the specific force for half a second.
+    In closed loop, a vehicle that begins with a dash would crash, because the force indicates level flight
+    while the vehicle tilts. Therefore, fast gates that are open at the start close five times sooner. So that
+    a constant tilt is still found quickly, the initial value of one slow gate, the most effective one, is
+    changed.
     """
     quick = np.isclose(p.tau, FAST) & (p.onset > 0.5)
     p = p._replace(tau=np.where(quick, QUICK, p.tau))
@@ -38,7 +39,7 @@ def as_flown(p: Parameters) -> Parameters:
 
 
 def settling_s(p: Parameters) -> float:
-    """Time until the error of a constant tilt stays below `SETTLED_DEG`, the longest of four [s]."""
+    """Return the longest time until the error of a constant tilt stays below `SETTLED_DEG` [s]."""
     steps, azimuth, tilt = round(WAIT_S * RATE_HZ), np.arange(4) * np.pi / 2, np.radians(TILT_DEG)
     up = np.stack([np.sin(tilt) * np.cos(azimuth), np.sin(tilt) * np.sin(azimuth), np.full(4, np.cos(tilt))])
     force = np.repeat(up[None].astype(F), steps, axis=0)

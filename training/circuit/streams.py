@@ -1,4 +1,4 @@
-"""Streams of readings that the circuit learns from: parts of flights and of motion in the hand."""
+"""Streams of readings for the training of a circuit: parts of flights and of hand-held motion."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from .imus import draw_imu
 
 Floats = NDArray[np.float32]
 BLOCK = 32
-"""Streams that are drawn at once."""
+"""Number of streams that are drawn at once."""
 EARLY = 0.25
-"""Share of the streams that begin where a flight does."""
+"""Share of the streams that begin at the start of a flight."""
 RIDGE, FALSE_RATE = 1e-3, 0.3
 GAP_S, FALSE_SAMPLES, FALSEST = 0.5, 10, 60.0
-"""Longest time without samples [s], most false rates in a row, and the largest of them [rad/s]."""
+"""Longest gap [s], largest number of consecutive wrong rates, and largest wrong rate [rad/s]."""
 SWAY_HZ, SWAY_M, SWAY_MAX = (0.3, 2.5), 0.5, 40.0
-"""Frequency of a hand's translation, its largest amplitude [m] and its largest acceleration [m/s²]. A hand's
-position is bounded, and its acceleration may be large."""
+"""Frequency of a hand's translation [Hz], its largest amplitude [m] and its largest acceleration [m/s²]. The
+position of a hand is bounded, but its acceleration can be large."""
 
 
 class Streams(NamedTuple):
-    """Readings of n streams and what they should give, with the streams last as the kernels have them."""
+    """Readings and targets of n streams; streams are the last axis, as in the kernels."""
 
     angle: Floats  #: body rate times the time of a sample (T, 3, n) [rad]
     force: Floats  #: specific force (T, 3, n) [9.81 m/s²]
@@ -43,17 +43,17 @@ class Streams(NamedTuple):
     known: NDArray[np.bool_]  #: whether a stream begins with its attitude and bias known (n,)
 
     def batch(self, rows: NDArray[np.int64]) -> Streams:
-        """Some of them."""
+        """Return some of the streams."""
         return Streams._make(np.ascontiguousarray(each[..., rows]) for each in self)
 
 
 def draw_streams(
     parts: Sequence[TrainingFlights], recipe: CircuitTraining, steps: int, rng: np.random.Generator
 ) -> Streams:
-    """Draw streams of T = `steps` samples, each with sensor errors of its own.
+    """Draw streams of T = `steps` samples, each with its own sensor errors.
 
-    Datasets of motion in the hand are those without a vehicle. Where there is only one kind of motion, all
-    streams are of that kind.
+    Datasets without a vehicle contain hand-held motion. If all datasets contain the same kind of motion, so
+    do all streams.
     """
     flights, hands = ([part for part in parts if bool(part.vehicles) is flown] for flown in (True, False))
     hand_share = recipe.hand_share if flights and hands else float(not flights)
@@ -80,7 +80,10 @@ def draw_streams(
 def _block(
     sets: Sequence[TrainingFlights], n: int, steps: int, swaying: float, rng: np.random.Generator
 ) -> tuple[Floats, Floats, Floats]:
-    """True rate, specific force and up of n streams, (n, T, 3); every flight is as likely as any other."""
+    """Return true rate, specific force and world z axis of n streams, (n, T, 3).
+
+    All flights are equally likely.
+    """
     sizes = np.array([len(each) for each in sets])
     which = rng.choice(len(sets), n, p=sizes / sizes.sum())
     streams = []
@@ -95,10 +98,10 @@ def _block(
 
 
 def bias_of(gyro: Floats, up: Floats, rate_hz: float) -> Floats:
-    """The gyroscope's bias (n, 3) that best explains how up turns, by least squares of u̇ = u × (ω - b).
+    """Estimate the gyroscope bias (n, 3) by least squares of u̇ = u × (ω - b), with the world's z axis u.
 
-    About an axis that is vertical throughout, of which up tells nothing, it is 0. Samples that are more than
-    `FALSE_RATE` off, which no bias explains, count as so much off.
+    The bias is 0 about an axis that is always vertical, because u does not determine it. Deviations are
+    clipped at `FALSE_RATE`.
     """
     change = np.gradient(up, axis=1) * rate_hz
     right = gyro - up * (up * gyro).sum(2, keepdims=True) + np.cross(up, change)
@@ -111,10 +114,10 @@ def bias_of(gyro: Floats, up: Floats, rate_hz: float) -> Floats:
 def interrupt(
     readings: tuple[Floats, Floats], share: float, rate_hz: float, rng: np.random.Generator
 ) -> NDArray[np.bool_]:
-    """Interrupt a share of the streams in place: no samples for a while, and false rates about one axis.
+    """Interrupt a share of the streams in place by a gap and by wrong rates about one axis.
 
     Returns:
-        Whether readings resume in a sample after more than `HOLD` without, (n, T).
+        Whether a sample is the first after a gap of more than `HOLD` samples, (n, T).
     """
     n, steps, _ = readings[0].shape
     again = np.zeros((n, steps), np.bool_)
@@ -133,7 +136,7 @@ def interrupt(
 
 
 def held(readings: Floats) -> Floats:
-    """Readings (n, T, 3) with the last good one where one is missing, and 0 before the first."""
+    """Replace missing readings (n, T, 3) by the last valid ones, or by 0 before the first."""
     lost = ~np.isfinite(readings).all(-1)
     index = np.maximum.accumulate(np.where(lost, 0, np.arange(readings.shape[1])), axis=1)
     return np.nan_to_num(np.take_along_axis(readings, index[..., None], 1))
@@ -142,7 +145,7 @@ def held(readings: Floats) -> Floats:
 def sway(
     rate: Floats, force: Floats, up: Floats, share: float, rate_hz: float, rng: np.random.Generator
 ) -> Floats:
-    """Specific force (n, T, 3) of hands; a share also moves to and fro: a bounded position, in the world."""
+    """Add a bounded translation to the specific force (n, T, 3) of a share of hand-held streams."""
     n, steps, _ = rate.shape
     place = np.zeros((n, steps, 3))
     for k in np.flatnonzero(rng.random(n) < share):
@@ -159,7 +162,7 @@ def sway(
 
 
 def _to_and_fro(steps: int, usual_hz: float, rate_hz: float, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Positions (T, 3) [m] about 0, of one direction and frequency that wander."""
+    """Return positions (T, 3) around 0, with slowly varying direction and frequency [m]."""
     hertz = usual_hz * np.exp(0.3 * rng.standard_normal())
     wander = gaussian_filter1d(rng.standard_normal(steps + 200), 60)
     phase = 2 * np.pi * np.cumsum(hertz * np.exp(0.2 * wander[:steps] / wander.std())) / rate_hz
@@ -172,7 +175,7 @@ def _to_and_fro(steps: int, usual_hz: float, rate_hz: float, rng: np.random.Gene
 
 
 def _from_up(up: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Quaternions (n, 4), body to world, that turn up (n, 3) to the world's z by the shortest way."""
+    """Return the shortest rotations (n, 4), body to world, that align `up` (n, 3) with the world's z axis."""
     x, y, z = up.T
     quat = np.stack([1 + z, y, -x, np.zeros_like(z)], 1)
     quat[z < -1 + 1e-6] = 0, 1, 0, 0
@@ -181,7 +184,7 @@ def _from_up(up: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @njit(cache=True)
 def _follow(angle, quat, attitude):
-    """Attitudes (n, T, 4) under the turns (n, T, 3) [rad] from the first (n, 4)."""
+    """Integrate rotations (n, T, 3) [rad] from initial attitudes (n, 4) to attitudes (n, T, 4)."""
     for k in range(angle.shape[0]):
         w, x, y, z = quat[k, 0], quat[k, 1], quat[k, 2], quat[k, 3]
         for t in range(angle.shape[1]):

@@ -1,4 +1,4 @@
-"""Training of the circuit: Adam with a learning rate that falls, over streams that are drawn once."""
+"""Training of the circuit by Adam with a decreasing learning rate, on streams that are drawn once."""
 
 from __future__ import annotations
 
@@ -23,25 +23,25 @@ from .streams import Streams, draw_streams
 
 Array = NDArray[np.float64]
 STEP = {"take": 0.5, "read": 0.5, "learn": 0.1, "gate": 0.5, "level": 0.5, "onset": 0.5, "resume": 0.5}
-"""Factors of the learning rate; others 1."""
+"""Factors of the learning rate by parameter; the default is 1."""
 WARM_UP, BETA1, BETA2, SLOW = 20, 0.9, 0.99, 0.98
-"""Updates over which the rate rises; decays of Adam's moments, and of the averaged weights."""
+"""Updates over which the learning rate rises; decays of Adam's moments and of the averaged weights."""
 DIVERGED = 50.0
-"""Length of a vector at which an update is taken back."""
+"""Length of a vector at which an update is undone."""
 RANGE_QUANTILE, RANGE = 0.999, 0.9
-"""The scale of a vector: this quantile of its components spikes in so many of the steps."""
+"""Scale of a vector: the quantile of its components, and the share of steps in which this quantile spikes."""
 NOISE = 1.0
 
 
 class CircuitLearner:
-    """A circuit that learns, with the methods of `training.epochs.Training`.
+    """Training of a circuit, with the methods of `training.epochs.Training`.
 
     Args:
-        config: Of the run.
+        config: Configuration of the run.
 
     Raises:
-        ValueError: A dataset that cannot be used.
-        FileNotFoundError: A dataset is not there.
+        ValueError: A dataset is invalid.
+        FileNotFoundError: A dataset does not exist.
     """
 
     def __init__(self, config: CircuitRun) -> None:
@@ -64,12 +64,12 @@ class CircuitLearner:
         )
 
     def contents(self) -> dict[str, str]:
-        """Digests of the flights."""
+        """Return the digests of the flights."""
         data = dict(zip(self.config.data, self.parts, strict=True))
         return {path: part.digest() for path, part in (data | self.validation).items()}
 
     def begin(self) -> None:
-        """Draw the streams; weights, Adam's moments and averaged weights as they are at first."""
+        """Draw the streams, and initialise weights, Adam's moments and averaged weights."""
         rng = np.random.default_rng([self.config.seed, 0])
         self.streams = draw_streams(self.parts, self.config, self.steps, rng)
         vehicles = sorted({vehicle for part in self.parts for vehicle in part.vehicles})
@@ -81,7 +81,7 @@ class CircuitLearner:
         self.slow = self.weights.copy()
 
     def one_epoch(self, number: int) -> Epoch:
-        """`EPOCH_UPDATES` updates, or what is left of them; validates after the last."""
+        """Run `EPOCH_UPDATES` updates, or the remaining ones; validate after the last."""
         run, losses, longest, rate = self.config, [], 0.0, 0.0
         last = min((number + 1) * EPOCH_UPDATES, run.updates)
         factors = np.concatenate(
@@ -117,7 +117,7 @@ class CircuitLearner:
         )
 
     def _validation(self) -> dict[str, float]:
-        """Mean absolute error of each validation set, also of the circuit that the run continued [deg]."""
+        """Return the validation errors, also for the circuit that the run continued [deg]."""
         found = {}
         for path, flights in self.validation.items():
             name = Path(path).stem
@@ -127,17 +127,17 @@ class CircuitLearner:
         return found
 
     def circuit(self) -> Parameters:
-        """The circuit of the averaged weights, as it flies."""
+        """Return the circuit of the averaged weights, adjusted for flight."""
         return as_flown(scaled(_with(self.first, self.slow), self.streams))
 
     def save(self, file: Path, note: dict[str, Any]) -> None:
-        """Write the circuit; the file says `note` of it."""
+        """Write the circuit; `note` is stored in the file."""
         vectors, gates = self.config.vectors, self.config.gates
         about = CircuitConfig(vectors=vectors, gates=gates, training=note | self.note)
         save_circuit(file, about, self.circuit())
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything that a resumed run needs."""
+        """Return everything that a resumed run needs."""
         return {name: torch.from_numpy(getattr(self, name)) for name in STATE}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -147,7 +147,7 @@ class CircuitLearner:
 
 
 STATE = ("weights", "first_moment", "second_moment", "slow")
-"""What changes in an update."""
+"""Attributes that change in an update."""
 
 
 def _flat(p: Parameters) -> Array:
@@ -155,7 +155,7 @@ def _flat(p: Parameters) -> Array:
 
 
 def _with(p: Parameters, weights: Array) -> Parameters:
-    """The circuit with other learnt parameters."""
+    """Return the circuit with other trained parameters."""
     values, at = {}, 0
     for name in LEARNT:
         shape = getattr(p, name).shape
@@ -166,9 +166,9 @@ def _with(p: Parameters, weights: Array) -> Parameters:
 
 
 def stream_weights(streams: Streams) -> NDArray[np.float32]:
-    """Weights of the streams in the loss: 1 over half a degree more than the untrained circuit's error.
+    """Return weights of the streams in the loss: 1 / (error of the untrained circuit + 0.5°).
 
-    So a calm flight counts as much as a tumbling one, relative to what is possible there.
+    With these weights, calm and agile flights have a similar influence.
     """
     p, errors = untrained(), []
     for first in range(0, len(streams.known), 64):
@@ -180,14 +180,14 @@ def stream_weights(streams: Streams) -> NDArray[np.float32]:
 
 
 def scaled(p: Parameters, streams: Streams) -> Parameters:
-    """The circuit with scales of its vectors from how long they are on streams."""
+    """Return the circuit with scales of its vectors from their lengths on streams."""
     trace = run_batch(p, streams.batch(np.arange(min(128, len(streams.known)))))
     size = np.abs(trace.x[1:]).transpose(1, 0, 2, 3).reshape(len(p.start), -1)
     return p._replace(scale=np.quantile(size, RANGE_QUANTILE, axis=1).astype(np.float64) / RANGE)
 
 
 def validation_error(p: Parameters, flights: TrainingFlights) -> float:
-    """Mean absolute error on spikes over complete flights, unknown initial attitude [deg]."""
+    """Return the mean absolute error with spikes over complete flights from an unknown start [deg]."""
     estimator = circuit_estimator("att-snn", p)
     estimator.reset(len(flights))
     return float(absolute_error(estimator.sequence(flights.gyro, flights.accel), flights.roll_pitch).mean())

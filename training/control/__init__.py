@@ -1,1 +1,1 @@
-"""Attitude controllers learnt by imitation: a teacher that has the truth, students that read an estimate."""
+"""Attitude controllers trained by imitation of a teacher that is given the true state."""

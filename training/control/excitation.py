@@ -1,4 +1,4 @@
-"""What is added to the flights that controllers learn from: to set-points, and to what is asked of rotors."""
+"""Excitation of the training flights of controllers, added to set-points and angular accelerations."""
 
 import math
 from typing import NamedTuple
@@ -11,11 +11,15 @@ from quadsim.vehicle import GRAVITY
 Array = NDArray[np.float64]
 RATE_HZ = 200.0
 STEP_S, CHIRP_HZ = (0.2, 0.8), (0.3, 4.0)
-"""Shortest and longest step, of which a chirp takes three [s]; range of the frequencies of a chirp [Hz]."""
+"""Range of the duration of a step, where a chirp takes three steps [s]; range of the frequencies of a chirp
+[Hz]."""
 
 
 class Excitation(NamedTuple):
-    """Largest values. A flight has a share of each, the square of a uniform number: half are calm."""
+    """Largest values of the excitation.
+
+    Each flight has a random share of each, the square of a uniform number.
+    """
 
     step_deg: float = 20.0  #: step of the roll and the pitch set-point [deg]
     chirp_deg: float = 10.0  #: amplitude of a chirp of them [deg]
@@ -33,7 +37,8 @@ def excite_set_points(
 ) -> None:
     """Add a share of steps and chirps to the set-points of a flight, (T,) records of `SET_POINT`.
 
-    A velocity asks for a tilt at once. The tilt of an acceleration is a motion, which is fed forward, too.
+    A step of the velocity commands a tilt immediately. The tilt of an acceleration is also fed forward as a
+    motion.
     """
     step, chirp = (size * GRAVITY * math.radians(tilt) for tilt in (added.step_deg, added.chirp_deg))
     k = 0
@@ -54,7 +59,7 @@ def excite_set_points(
 
 
 def disturbance(added: Excitation, size: float, steps: int, rng: np.random.Generator) -> Array:
-    """Disturbance of the angular acceleration over a flight, (steps, 3) [rad/s²]."""
+    """Draw the disturbance of the angular acceleration over a flight, (steps, 3) [rad/s²]."""
     from scipy.signal import lfilter  # takes half a second
 
     decay = math.exp(-1.0 / (RATE_HZ * _log_uniform((0.03, 0.3), rng)))

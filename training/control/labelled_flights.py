@@ -1,8 +1,8 @@
-"""Flights to imitate: set-points and readings, and what the teacher would ask for at the true state.
+"""Flights for imitation: set-points and readings, with the teacher's commands for the true state as labels.
 
-The teacher is the cascade, with the true attitude and body rate. Its integral of the body rate is replaced by
-its limit, the disturbance of the angular acceleration, averaged over `OBSERVED_S`: an integral would wind up
-on a student's errors. The teacher flies, the student, or now one and then the other (DAgger).
+The teacher is the cascade with the true attitude and body rate. Its integral of the body rate would wind up
+on a student's errors, and is replaced by its limit, the disturbance of the angular acceleration averaged over
+`OBSERVED_S`. The teacher, the student, or both in turn (DAgger) fly.
 """
 
 import math
@@ -25,9 +25,10 @@ from quadsim.seeding import PILOT, children
 from .excitation import RATE_HZ, STANDARD, Array, Excitation, disturbance, excite_set_points
 
 MAX_TILT, MAX_DISTANCE = math.radians(80.0), 40.0
-"""Where a flight ends: tilt [rad] and distance from the set-point [m]."""
+"""Limits at which a flight ends: tilt [rad] and distance from the set-point [m]."""
 OBSERVED_S, TURN_S = 0.4, 0.5
-"""Time constant of the teacher's disturbance, and time after which another may fly [s]."""
+"""Averaging time of the disturbance for the teacher, and time after which teacher and student can switch
+[s]."""
 SAMPLE = np.dtype(
     [
         ("gyro", "f4", 3),  # measured body rate [rad/s]
@@ -42,10 +43,10 @@ SAMPLE = np.dtype(
 
 @dataclass
 class Pilot:
-    """An attitude controller whose commands are a teacher's or a student's, disturbed.
+    """An attitude controller that gives the disturbed commands of a teacher or a student.
 
-    The teacher finds the truth, and the body rate that the cascade wants, in the `loop` that it flies in.
-    `set_point` (n, 4) and `taught` (n, 3) are what it was given and asked for last, whoever flew.
+    The teacher reads the true state and the cascade's body-rate command from `loop`. `set_point` (n, 4) and
+    `taught` (n, 3) are its last input and command, even if the student flew.
     """
 
     student: AttitudeController | None  #: None: the teacher flies alone
@@ -62,7 +63,7 @@ class Pilot:
             self.student.reset(n)
 
     def update(self, set_point: Array, gyro: Array, accel: Array, roll_pitch: Array) -> Array:
-        """As of an `AttitudeController`."""
+        """Compute the command, as an `AttitudeController` does."""
         plant, cascade, k = self.loop.plant, self.loop.records["controller"], self.loop.k[0]
         limit, gains, self.set_point = cascade["max_ang_acc"], cascade["gains"], set_point
         self.trim += (self.asked - plant.ang_acc - self.trim) / (OBSERVED_S * RATE_HZ)
@@ -85,9 +86,10 @@ def fly(
     teacher_share: float = 0.0,
     excitation: Excitation = STANDARD,
 ) -> NDArray[np.void]:
-    """Fly one flight per seed, and label it by the teacher: records (n, T) of `SAMPLE`.
+    """Simulate one flight per seed with labels by the teacher; return records (n, T) of `SAMPLE`.
 
-    The student flies, but for `teacher_share` of the time; without one the teacher.
+    The teacher flies for the share `teacher_share` of the time, the student otherwise. Without a student, the
+    teacher always flies.
     """
     n, steps = len(seeds), round(duration_s * RATE_HZ)
     draws = [np.random.default_rng(seed) for seed in children(seeds, PILOT)]

@@ -1,4 +1,4 @@
-"""The task of attitude controllers: flights by a teacher, then by the student, which the teacher labels."""
+"""The training of attitude controllers: flights by a teacher, then labelled flights by the student."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ if TYPE_CHECKING:
 FLIGHTS, VALIDATION, INITIAL, WINDOWS = range(4)
 """Children of a run's seed."""
 INITIAL_WINDOWS, INITIAL_S = 24, 6.0
-"""Windows that the initial network is solved on, and their length [s]."""
+"""Number and length [s] of the windows for the initial network."""
 
 
 class ControlTask:
-    """Angular accelerations of a teacher, from set-points and readings; see `training.data.AttitudeTask`.
+    """Imitation of a teacher's angular accelerations, with the methods of `training.data.AttitudeTask`.
 
     Args:
-        config: Of the run.
-        out: Its folder, where the flights of each round are kept.
+        config: Configuration of the run.
+        out: Folder of the run, which stores the flights of each round.
     """
 
     rate_hz = RATE_HZ
@@ -46,11 +46,11 @@ class ControlTask:
         self.rounds: list[NDArray[np.void]] = []
 
     def contents(self) -> dict[str, str]:
-        """The recipe of the flights."""
+        """Return the recipe of the flights."""
         return {"flights": self.recipe.model_dump_json()}
 
     def initial_model(self) -> AttSNN:
-        """The network before the first update, after the teacher's flights."""
+        """Return the initial network, solved from the teacher's flights."""
         config = self.config
         self.rounds = [self._round(0)]
         self.teacher_deg = tracking_deg(self._fly((VALIDATION,), config.control.validation_flights))
@@ -62,12 +62,12 @@ class ControlTask:
         return model
 
     def _fly(self, key: Sequence[int], n: int, *pilots: Any) -> NDArray[np.void]:
-        """Flights of a child of the run's seed; `pilots` are a student, and the teacher's share."""
+        """Simulate flights of a child of the run's seed; `pilots` are a student and the teacher's share."""
         seeds = [child(np.random.SeedSequence([self.config.seed, *key]), i) for i in range(n)]
         return fly(self.recipe, seeds, self.config.control.flight_s, *pilots)
 
     def _round(self, number: int, student: Student | None = None) -> NDArray[np.void]:
-        """Flights of a round, from its file where there is one: the student's, after the teacher's."""
+        """Return the flights of a round, from its file if there is one."""
         control, file = self.config.control, self.out / f"round-{number}.npy"
         if not file.is_file():
             n = control.round_flights if student else control.flights
@@ -80,7 +80,7 @@ class ControlTask:
             raise ValueError(f"{file}: damaged, choose another folder for the run") from error
 
     def windows(self, epoch: int, student: Student) -> Iterator[Batch]:
-        """The windows of an epoch, after the flights of its round."""
+        """Return the windows of an epoch, after simulating the flights of its round."""
         config = self.config
         while len(self.rounds) <= config.round_of(epoch):
             self.rounds.append(self._round(len(self.rounds), student))
@@ -88,11 +88,11 @@ class ControlTask:
         return windows(np.concatenate(self.rounds), config, steps, seed)
 
     def validate(self, network: NetworkConfig, tensors: Tensors) -> dict[str, float]:
-        """Figures of the student's flights.
+        """Return measures of the student's flights.
 
-        `tracking_deg`: RMS angle between commanded and true thrust axis, a crashed flight counted as 90°;
-        `teacher_deg`: the same of the teacher; `crashes`; `imitation`: RMS error of the outputs over the
-        error scale.
+        `tracking_deg` is the RMS angle between commanded and true thrust axis, where a crash counts as 90°.
+        `teacher_deg` is the same for the teacher. `imitation` is the RMS error of the outputs divided by the
+        error scale. `crashes` is the number of crashes.
         """
         student = SpikingController(network, tensors)
         flown = self._fly((VALIDATION,), self.config.control.validation_flights, student)
@@ -108,12 +108,12 @@ class ControlTask:
         }
 
     def note(self) -> dict[str, Any]:
-        """What the weights say of the flights."""
+        """Return the description of the flights for the weights file."""
         return {"vehicles": [self.recipe.vehicle.name], "training_flights": sum(map(len, self.rounds))}
 
 
 def tracking_deg(flights: NDArray[np.void]) -> float:
-    """Root mean square over flights of the tracking error, crashed ones counted as 90° [deg]."""
+    """Return the RMS tracking error over flights, where a crash counts as 90° [deg]."""
     squares = np.degrees(flights["error"]) ** 2
     return float(np.sqrt(np.mean(np.where(flights["valid"][:, -1:], squares, 90.0**2))))
 
@@ -121,7 +121,10 @@ def tracking_deg(flights: NDArray[np.void]) -> float:
 def windows(
     flights: NDArray[np.void], config: TrainConfig, steps: int, seed: Sequence[int]
 ) -> Iterator[Batch]:
-    """The windows of an epoch, see `training.data.windows_of`; half of the streams start with a flight."""
+    """Return the windows of an epoch; see `training.data.windows_of`.
+
+    Half of the streams begin at the start of a flight.
+    """
     end = flights["valid"].sum(axis=1)
     if end.max() < steps:
         raise ValueError("every flight ends within a window: give a smaller window_s")

@@ -1,1 +1,1 @@
-"""The drag-aided filter: by itself, and in several models that interact."""
+"""The drag-aided filter, alone and in interacting multiple models."""

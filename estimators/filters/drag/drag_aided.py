@@ -1,27 +1,28 @@
-"""The drag-aided error-state filter, by itself in `ekf_drag`, and with other models in `imm`.
+"""The drag-aided error-state filter, used alone in `ekf_drag` and with other models in `imm`.
 
-Without drag the accelerometer of a flying quadrotor reads thrust along body z at any tilt. The part
-across it is rotor and frame drag, so it measures velocity through the air, not tilt (Martin & Salaün, "The
-true role of accelerometer feedback in quadrotor control", ICRA 2010; Leishman et al., "Quadrotors and
-accelerometers", IEEE Control Systems 34(1), 2014). Tilt then follows from how that velocity changes.
+Without drag, the accelerometer of a flying quadrotor reads only thrust along body z, at any tilt. The other
+components are rotor and frame drag and measure airspeed, not tilt (Martin & Salaün, "The true role of
+accelerometer feedback in quadrotor control", ICRA 2010; Leishman et al., "Quadrotors and accelerometers",
+IEEE Control Systems 34(1), 2014). The tilt follows from the changes of the airspeed.
 
-State: attitude R, velocity v and horizontal wind w (world axes), gyroscope bias b, accelerometer bias c, the
-direction of thrust o, as a tilt from body z, and the height l of the IMU over the centre of mass:
+The state consists of attitude R, velocity v and horizontal wind w (world axes), gyroscope bias b,
+accelerometer bias c, direction of thrust o as a tilt from body z, and height l of the IMU above the centre of
+mass:
 
     Ṙ = R [ω − b]×,    v̇ = R (a − c) + g,    ẇ, ḃ, ċ, ȯ, l̇ random walks,
     a_xy = −D (Rᵀ (v − w))_xy + c_xy + g o + l (α_y, −α_x) + noise,    D = k √(a_z / g) + f |v − w|
 
-because rotor drag is proportional to the sum of rotor speeds, which goes with the root of thrust; k is its
-coefficient at hover, f the frame's quadratic drag per mass, and α the angular acceleration. A second, weak
-measurement says that the vehicle stays where it is on the whole: v = 0. A third, at rest, says that the
-gyroscope reads its bias (a zero-rate update, as in VQF: Laidig & Seel, Information Fusion 91, 2023).
+Rotor drag is proportional to the sum of rotor speeds, hence to the root of thrust; k is its coefficient at
+hover, f the quadratic drag of the frame per mass, and α the angular acceleration. A second, weak measurement
+is v = 0: on average, the vehicle does not move. At rest, a third measurement is that the gyroscope reads its
+bias (a zero-rate update, as in VQF: Laidig & Seel, Information Fusion 91, 2023).
 
-The error is right-invariant as in `eskf`: θ in world axes, v = exp([θ]×) v̂ + δv and so for w. The drag
-measurement then does not depend on θ at all, its matrix is −D R̂ᵀ on δv − δw, and heading drops out.
+The error is right-invariant as in `eskf`: θ is in world axes, and v = exp([θ]×) v̂ + δv, similarly for w. The
+drag measurement then does not depend on θ or on the heading; its matrix is −D R̂ᵀ for δv − δw.
 
-Arguments of the functions: m is the record of a model, with the fields of `MODEL`; scratch has those of
-`SCRATCH` and may be the same record; p has the filter's parameters; size is the number of errors in the
-state; matrix is R̂ by rows; dt is the time step [s].
+The functions have these arguments: m is the record of a model, with the fields of `MODEL`; scratch has the
+fields of `SCRATCH` and may be the same record; p contains the parameters of the filter; size is the number of
+errors in the state; matrix is R̂ by rows; dt is the time step [s].
 """
 
 import math
@@ -39,15 +40,15 @@ from ..inline_math import exp_core, multiply, put, rotate
 
 TILT, VELOCITY, GYRO_BIAS, ACCEL_BIAS, WIND = 0, 2, 4, 7, 9
 CLIMB, ACCEL_BIAS_Z, OFFSET, LEVER = 11, 12, 13, 15
-"""Where the parts of the error state begin: horizontal axes, three of the gyroscope's bias; then what not
-every filter estimates: v_z, c_z, o and l."""
+"""Offsets of the parts of the error state: horizontal axes, three axes of the gyroscope bias, and then v_z,
+c_z, o and l, which not every filter estimates."""
 SHARED, DRAG, ERRORS = 9, 13, 16
-"""Errors of a model without drag; of one with drag, the climb and all of c; of one with everything."""
+"""Number of errors of a model without drag; with drag, v_z and all of c; and with all parts."""
 PARTS = np.repeat(
     ["attitude", "speed", "bias", "accel_bias", "wind", "speed", "accel_bias", "offset", "lever"],
     [2, 2, 3, 2, 2, 1, 1, 2, 1],
 )
-"""Of each error, the parameter that is its initial standard deviation, without `_sigma`."""
+"""Parameter with the initial standard deviation of each error, without the suffix `_sigma`."""
 
 MODEL = [
     ("quat", "f8", 4),
@@ -79,17 +80,17 @@ SCRATCH = [
     ("column", "f8", ERRORS),  # P hᵀ of a measurement
     ("walks", "f8", ERRORS),  # variances that a sample adds
 ]
-"""Fields for a sample, in the record because the compiler knows that fields of one record do not overlap."""
+"""Temporary fields for a sample. They are part of the record, because fields of one record never overlap."""
 
 BIAS_MAX, SPEED_MAX = math.radians(30.0), 60.0
 """Bias of the gyroscope [rad/s], velocity and wind [m/s] beyond which a filter has diverged and restarts."""
 FIRST_S = 0.1
-"""Time for which the first value of a mean square counts [s]."""
+"""Weight of the first value of a mean square, as a duration [s]."""
 
 
 @njit
 def transition(P, matrix, v, w, dt, climbs):
-    """P ← F P, with θ̇ = −R̂ δb, δv̇ = −θ × g − R̂ δc − v̂ × R̂ δb and δẇ = −ŵ × R̂ δb.
+    """Compute P ← F P, with θ̇ = −R̂ δb, δv̇ = −θ × g − R̂ δc − v̂ × R̂ δb and δẇ = −ŵ × R̂ δb.
 
     With `climbs`, v_z and c_z are among the errors.
     """
@@ -117,7 +118,7 @@ def transition(P, matrix, v, w, dt, climbs):
 
 @njit
 def propagate(m, scratch, size, matrix, dt, climbs):
-    """P ← F P Fᵀ + Q = F (F P)ᵀ + Q for a symmetric P; `scratch.walks` is the diagonal of Q."""
+    """Compute P ← F P Fᵀ + Q = F (F P)ᵀ + Q for a symmetric P; `scratch.walks` is the diagonal of Q."""
     P, T, v, w = m.covariance, scratch.moved, m.velocity, m.wind
     transition(P, matrix, v, w, dt, climbs)
     for i in range(ERRORS):
@@ -132,10 +133,10 @@ def propagate(m, scratch, size, matrix, dt, climbs):
 
 @njit
 def predict(m, scratch, p, size, turn, dt, scale_error, unseen, drag, climbs):
-    """Turn a model and propagate its covariance, with walks of o and l as they are; returns the matrix.
+    """Rotate a model and propagate its covariance, except for the random walks of o and l; return R̂.
 
-    `turn` is the rotation vector that the gyroscope measured [rad], `scale_error` its variance by errors in
-    proportion to the rate, `unseen` that of what it did not measure [rad²], and `drag` is D at hover [1/s].
+    `turn` is the measured rotation vector [rad], `scale_error` its variance by errors proportional to the
+    rate, `unseen` the variance of unmeasured rotation [rad²], and `drag` is D at hover [1/s].
     """
     walks, b = scratch.walks, m.gyro_bias
     walks[TILT:VELOCITY] = p.gyro_noise**2 * dt + scale_error + unseen
@@ -154,13 +155,13 @@ def predict(m, scratch, p, size, turn, dt, scale_error, unseen, drag, climbs):
 
 @njit
 def least_variance(m, p, dt):
-    """Variance of the drag measurement by its noise or, if that is more, by vibration [m²/s⁴]."""
+    """Return the variance of the drag measurement by noise or, if larger, by vibration [m²/s⁴]."""
     return max(m.vibration, p.drag_noise**2 / dt)
 
 
 @njit
 def along_drag(x, y, z, arm, k, error, noise):
-    """What the drag measurement of axis k changes by with an error and noise, given row k of −D R̂ᵀ."""
+    """Return the drag measurement of axis k for an error and noise, given row k of −D R̂ᵀ."""
     across = x * (error[VELOCITY] - error[WIND]) + y * (error[VELOCITY + 1] - error[WIND + 1])
     own = error[ACCEL_BIAS + k] + GRAVITY * error[OFFSET + k] + arm * error[LEVER]
     return across + (own + z * error[CLIMB] + noise)
@@ -168,10 +169,10 @@ def along_drag(x, y, z, arm, k, error, noise):
 
 @njit
 def correct_by_drag(m, scratch, p, size, force, arm, rotor_drag, dt, matrix):
-    """Correct by the specific force across thrust, one axis after the other; adapt its variance.
+    """Correct by the specific force perpendicular to thrust, one axis after the other; adapt its variance.
 
-    `force` is the specific force in body axes (3,) [m/s²], `arm` what one metre of lever arm adds to it (2,)
-    [1/s²], and `rotor_drag` the rotors' part of D [1/s].
+    `force` is the specific force in body axes (3,) [m/s²], `arm` the addition to it per metre of lever arm
+    (2,) [1/s²], and `rotor_drag` the part of D by the rotors [1/s].
     """
     P, v, w, dx, column = m.covariance, m.velocity, m.wind, scratch.error, scratch.column
     airspeed = math.sqrt((v[0] - w[0]) ** 2 + (v[1] - w[1]) ** 2 + v[2] ** 2)
@@ -193,7 +194,7 @@ def correct_by_drag(m, scratch, p, size, force, arm, rotor_drag, dt, matrix):
 
 @njit
 def correct_by_zero_velocity(m, scratch, size, axes, variance, climb_variance):
-    """Correct by the measurement v = 0, one axis after the other, of the first two or of all three."""
+    """Correct by the measurement v = 0, for the first two or all three axes in turn."""
     P, v, dx, column = m.covariance, m.velocity, scratch.error, scratch.column
     for k in range(axes):
         x, y = (0.0, -v[2], v[1])[k], (v[2], 0.0, -v[0])[k]  # of θ × v̂
@@ -208,7 +209,7 @@ def correct_by_zero_velocity(m, scratch, size, axes, variance, climb_variance):
 
 @njit
 def correct_by_zero_rate(m, scratch, p, size, rate, dt):
-    """Correct by the gyroscope of a vehicle at rest, which reads its bias."""
+    """Correct by the gyroscope at rest, which reads its bias."""
     P, dx, column = m.covariance, scratch.error, scratch.column
     for k in range(3):
         column[:] = P[GYRO_BIAS + k]
@@ -218,7 +219,7 @@ def correct_by_zero_rate(m, scratch, p, size, rate, dt):
 
 @njit
 def apply_error(m, dx):
-    """Correct a model's state by the error that was estimated."""
+    """Correct the state of a model by the estimated error."""
     put(m.quat, turned(m.quat, dx[TILT], dx[TILT + 1]))
     turn = exp_core(dx[TILT], dx[TILT + 1], 0.0)
     v, w = rotate(turn, m.velocity), rotate(turn, (m.wind[0], m.wind[1], 0.0))
@@ -235,13 +236,13 @@ def apply_error(m, dx):
 
 @njit
 def mean_square(value, square, dt, time, memory):
-    """Mean square after a further square value."""
+    """Update a mean square by another square value."""
     return value + (square - value) * dt / min(FIRST_S + time, memory)
 
 
 @njit
 def adapt_vibration(m, p, dt, now):
-    """Take an innovation ν in world axes into its mean, and ¼ |ν[t] − ν[t−1]|², white, into its variance."""
+    """Update the mean of the innovation ν in world axes, and its white variance by ¼ |ν[t] − ν[t−1]|²."""
     change = (now[0] - m.innovation[0]) ** 2 + (now[1] - m.innovation[1]) ** 2
     if m.time > dt:
         m.vibration += (0.25 * change - m.vibration) * dt / p.vibration_memory
@@ -252,7 +253,7 @@ def adapt_vibration(m, p, dt, now):
 
 @njit
 def gust_noise(m, p, dt, drag):
-    """Process noise of the wind by a low-passed innovation beyond its variance [m²/s³]."""
+    """Return the process noise of the wind for a low-passed innovation beyond its variance [m²/s³]."""
     square = m.innovation_mean[0] ** 2 + m.innovation_mean[1] ** 2
     usual = p.gust_ratio * least_variance(m, p, dt) * dt / p.gust_window
     return max(square - usual, 0.0) / p.gust_window / (drag * drag)
@@ -260,7 +261,7 @@ def gust_noise(m, p, dt, drag):
 
 @njit
 def at_rest(s, p, dt, gyro, accel):
-    """Take readings into their low-passes; whether they have agreed for long enough."""
+    """Low-pass the readings; return whether they have been constant for long enough."""
     same = True
     fast, slow = dt / min(s.time, p.rest_fast), dt / min(s.time, p.rest_delay)
     for k in range(6):
@@ -274,7 +275,7 @@ def at_rest(s, p, dt, gyro, accel):
 
 @njit
 def diverged(gyro_bias, velocity):
-    """Whether an estimate is beyond what can be; a NaN is."""
+    """Return whether an estimate is NaN or beyond plausible limits."""
     bx, by, bz = gyro_bias
     possible = within(bx, by, bz, BIAS_MAX)
     for value in velocity:

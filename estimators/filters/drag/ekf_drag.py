@@ -1,16 +1,16 @@
-"""Error-state Kalman filter that is given the airframe's drag, and adapts its noise to its innovations.
+"""Error-state Kalman filter with known drag of the airframe, whose noise adapts to the innovations.
 
-It is `drag_aided` with v_z and c_z among its errors, and with thrust along body z through the IMU. Noise is
-adapted to the innovation ν of the drag measurement:
+The filter is that of `drag_aided`, with v_z and c_z among the errors, thrust along body z, and the IMU at the
+centre of mass. The noise is adapted to the innovation ν of the drag measurement:
 
-- *Vibration*: the variance of ν is at least the low-passed part of it that is white.
-- *Wind*: corrections of the airspeed v − w that sum up to more than the variance they remove raise the
-  process noise of w, less lowers it (Myers & Tapley, "Adaptive sequential estimation with unknown noise
-  statistics", IEEE Trans. Autom. Control 21(4), 1976).
-- *Gust fronts*: a low-passed ν beyond its own variance inflates that process noise at once.
-- *Bias steps*: corrections of b that sum up to far more than the variance they remove inflate the variance
-  of b.
-- *Velocity*: the measurement v = 0 is the weaker, the larger the mean square of the estimated velocity.
+- *Vibration*: the variance of ν is at least the low-passed variance of its white part.
+- *Wind*: if the sum of corrections of the airspeed v − w exceeds the variance that they remove, the process
+  noise of w increases; otherwise, it decreases (Myers & Tapley, "Adaptive sequential estimation with unknown
+  noise statistics", IEEE Trans. Autom. Control 21(4), 1976).
+- *Gust fronts*: a low-passed ν beyond its own variance immediately increases this process noise.
+- *Bias steps*: if the sum of corrections of b far exceeds the variance that they remove, the variance of b is
+  increased.
+- *Velocity*: the variance of the measurement v = 0 grows with the mean square of the estimated velocity.
 - *Model*: the variance of ν grows with the mean square of the horizontal acceleration, since thrust and drag
   are not known exactly.
 """
@@ -59,15 +59,15 @@ RECORD = np.dtype(
         *SCRATCH,
     ]
 )
-"""The filter's state."""
+"""State of the filter."""
 
 NO_ARM = (0.0, 0.0)
-"""The IMU is at the centre of mass."""
+"""Lever arm of an IMU at the centre of mass."""
 
 
 @njit
 def airspeed_variance(P):
-    """Variance of v − w, both horizontal axes [m²/s²]."""
+    """Return the variance of v − w, both horizontal axes [m²/s²]."""
     total = 0.0
     for a in range(2):
         v, w = VELOCITY + a, WIND + a
@@ -77,13 +77,13 @@ def airspeed_variance(P):
 
 @njit
 def bias_variance(P):
-    """Variance of the gyroscope's bias, all axes [rad²/s²]."""
+    """Return the variance of the gyroscope bias, all axes [rad²/s²]."""
     return P[GYRO_BIAS, GYRO_BIAS] + P[GYRO_BIAS + 1, GYRO_BIAS + 1] + P[GYRO_BIAS + 2, GYRO_BIAS + 2]
 
 
 @njit
 def adapt_wind(s, p, dt, removed):
-    """Take a correction of the airspeed, and the variance that it removed, into the wind's noise."""
+    """Adapt the noise of the wind to a correction of the airspeed and the variance that it removed."""
     scatter = 0.0
     for k in range(2):
         moved = s.error[VELOCITY + k] - s.error[WIND + k]
@@ -97,7 +97,7 @@ def adapt_wind(s, p, dt, removed):
 
 @njit
 def adapt_bias(s, p, dt, removed):
-    """Inflate the variance of the gyroscope's bias where its corrections show that it has stepped."""
+    """Increase the variance of the gyroscope bias if its corrections show a step."""
     leak, scatter = dt / p.step_time, 0.0
     for k in range(3):
         s.bias_sum[k] += s.error[GYRO_BIAS + k] - s.bias_sum[k] * leak
@@ -110,7 +110,7 @@ def adapt_bias(s, p, dt, removed):
 
 @njit
 def measure(s, p, dt, gyro, accel, matrix):
-    """All corrections by one sample: adds to the error, reduces the covariance, adapts the noise."""
+    """Apply all corrections by one sample: update error and covariance, and adapt the noise."""
     P, v = s.covariance, s.velocity
     airspeed, bias = airspeed_variance(P), bias_variance(P)
     rotor_drag = math.sqrt(max(accel[2], 0.0) / GRAVITY) / p.drag_time
@@ -128,7 +128,7 @@ def measure(s, p, dt, gyro, accel, matrix):
 
 @njit
 def step(s, p, sample):
-    """See `driver`."""
+    """Process a sample or sequences; see `driver`."""
     v, c, dt, gyro, accel = s.velocity, s.accel_bias, sample.dt, sample.mean_gyro, sample.accel
     s.time += dt
     turn = (gyro[0] * dt, gyro[1] * dt, gyro[2] * dt)
@@ -150,17 +150,17 @@ def step(s, p, sample):
 
 @njit(cache=True, nogil=True)
 def run(states, samples, params, dt, gyro, accel, rotor_vel, out):
-    """See `driver`."""
+    """Process a sample or sequences; see `driver`."""
     run_all(step, states, samples, params, dt, gyro, accel, rotor_vel, out)
 
 
 class EkfDrag(CompiledFilter):
-    """The filter of n vehicles."""
+    """The filter for n vehicles."""
 
     record, run = RECORD, staticmethod(run)
 
     def begin(self, states: Records, quat: Array, known: bool) -> None:
-        """Start at an attitude that is known, or level with an unknown tilt."""
+        """Start at a known attitude, or at level with an unknown tilt."""
         p, tilt, others = self.values, PARTS[:VELOCITY], PARTS[VELOCITY:DRAG]
         sigma = [SIGMA_KNOWN if known else p[f"{part}_sigma"] for part in tilt]
         sigma += [p[f"{part}_sigma"] for part in others]
@@ -170,7 +170,7 @@ class EkfDrag(CompiledFilter):
 
 
 def drag_of(vehicle: Vehicle) -> dict[str, float]:
-    """`drag_time` and `frame_drag` of a vehicle."""
+    """Return `drag_time` and `frame_drag` of a vehicle."""
     area = 0.5 * (vehicle.frame.drag_area[0] + vehicle.frame.drag_area[1])
     return {
         "drag_time": vehicle.drag_time_constant,

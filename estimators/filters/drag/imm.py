@@ -1,41 +1,41 @@
-"""Interacting multiple models: one filter for an airframe without a description.
+"""Interacting multiple models: a filter that needs no vehicle data.
 
 Blom & Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian switching
-coefficients", IEEE Trans. Autom. Control 33(8), 1988. Three hypotheses of what carries the IMU, each a Kalman
-filter (`imm_model`) with probability μ:
+coefficients", IEEE Trans. Autom. Control 33(8), 1988. There are three hypotheses about the carrier of the
+IMU. Each is a Kalman filter (`imm_model`) with probability μ:
 
-    multirotor    the force across thrust is drag; v = 0 within metres a second
-    free          anything that moves within metres a second
-    hand          anything slower, within a metre a second
+    multirotor    the force perpendicular to thrust is drag; v = 0 within several m/s
+    free          any carrier with v = 0 within several m/s
+    hand          a slower carrier, with v = 0 within 1 m/s
 
 The likelihood Λ of a model is the product of
 
-- the density of a force that should be small: for a multirotor the force across thrust, for the others the
-  horizontal force in the world, by the model's attitude. Each has its own mean square over some seconds as
-  its variance, so that the smaller of both wins. Such forces are not white: their logarithm counts once per
-  `evidence_time`;
+- the density of a force that should be small: for a multirotor, the force perpendicular to thrust; for the
+  others, the horizontal force in world axes by the model's attitude. The variance of each force is its own
+  mean square over some seconds, so that the smaller force is more likely. Because such forces are not white,
+  their logarithm counts once per `evidence_time`;
 - the density of the velocity, once per `speed_time`.
 
-All densities are of Student's t. The model changes at random, with the same rate to every other one, on
-average once per `sojourn_time`:
+All densities are Student's t. The true model changes at random, on average once per `sojourn_time`, to each
+other model at the same rate:
 
     ε_j = dt / (3 sojourn_time) (1 − μ_j),    μ_j ← (μ_j + ε_j) Λ_j / Σ
 
-Mixing then moves model j towards the combination of all by the share ε_j / (μ_j + ε_j): none for a model that
-is believed, and the whole way for one that is not, which therefore is ready to take over. What multirotors
-alone have, wind, direction of thrust and lever arm, mixes with its initial state by that share.
+Mixing then moves model j towards the combination of all models by the share ε_j / (μ_j + ε_j). A probable
+model hardly moves; an improbable model moves to the combination and can therefore take over. Wind, direction
+of thrust and lever arm, which only multirotors have, are mixed with their initial values by this share.
 
 When the sensors are at rest, all models take a velocity of zero and the gyroscope's reading as its bias, as
 `ekf_drag` does.
 
-Heading cannot be observed: all models are turned about the vertical to the heading of the likeliest. Readings
-are integrated at their own rate to a turn and a change of velocity (Savage, "Strapdown inertial navigation
-integration algorithm design", J. Guidance 21, 1998), which the models take at `MODEL_HZ`; in between, the
-combined attitude turns with the gyroscope.
+Heading is not observable: all models are rotated about the vertical to the heading of the most probable one.
+Readings are integrated at their own rate to a rotation and a change of velocity (Savage, "Strapdown inertial
+navigation integration algorithm design", J. Guidance 21, 1998), which the models process at `MODEL_HZ`. In
+between, the combined attitude rotates with the gyroscope.
 
-Rotor speeds ω are optional, in every sample. Where they are given, thrust in the drag is κ Σ ω² in place of
-the force along body z, which vibration disturbs; κ, which no one has to know, is the least-squares ratio of
-that force to Σ ω² over `square_memory`. Where one is missing, or the rotors stand still, it is that force.
+Rotor speeds ω are optional in every sample. If they are given, the thrust in the drag is κ Σ ω² instead of
+the force along body z, which vibration disturbs. The factor κ is estimated: the least-squares ratio of this
+force to Σ ω² over `square_memory`. If a speed is missing or the rotors stand still, the force is used.
 """
 
 import math
@@ -108,19 +108,19 @@ RECORD = np.dtype(
         *SCRATCH,
     ]
 )
-"""The filter's state: models, their combination, and readings since their last update."""
+"""State of the filter: models, their combination, and readings since their last update."""
 
 ESTIMATED = [*range(CLIMB), *range(OFFSET, ERRORS)]
-"""The errors that a multirotor's model has."""
+"""Errors in the model of a multirotor."""
 MODEL_HZ = 50.0
-"""Rate at which the models take the readings [1/s]; readings of a lower rate are taken as they come."""
+"""Rate of the updates of the models [1/s]; at lower sample rates, every sample is an update."""
 
 
 @njit
 def take_vibration(s, p, dt, change):
-    """Take a change of the specific force [m/s²] into the mean square of its vibration.
+    """Update the mean square of the vibration by a change of the specific force [m/s²].
 
-    A second difference of white noise has six times its variance, and next to nothing of a motion.
+    A second difference has six times the variance of white noise, and almost no contribution of motion.
     """
     square = 0.0
     for k in range(3):
@@ -131,7 +131,7 @@ def take_vibration(s, p, dt, change):
 
 @njit
 def accumulate(s, p, sample):
-    """Take a `Sample` into the sums since the last update of the models."""
+    """Add a `Sample` to the sums since the last update of the models."""
     dt, gyro, accel, last = sample.dt, sample.gyro, sample.accel, s.force
     turn = exp_core(gyro[0] * dt, gyro[1] * dt, gyro[2] * dt)
     put(s.turn, multiply(s.turn, turn))
@@ -162,13 +162,13 @@ def accumulate(s, p, sample):
 
 @njit
 def scaled(scale, v):
-    """A vector times a number, a tuple."""
+    """Return a vector times a number, a tuple."""
     return scale * v[0], scale * v[1], scale * v[2]
 
 
 @njit
 def rotation_vector(turn):
-    """Rotation vector of a quaternion of a turn of less than π [rad]."""
+    """Return the rotation vector of a quaternion with an angle of less than π [rad]."""
     length = math.sqrt(turn[1] ** 2 + turn[2] ** 2 + turn[3] ** 2)
     scale = 2.0 if length < 1e-9 else 2.0 * atan2_core(length, turn[0]) / length
     return scaled(scale, turn[1:])
@@ -176,7 +176,7 @@ def rotation_vector(turn):
 
 @njit
 def weigh(s, change):
-    """Probabilities after a measurement; `evidence` (m,) is the logarithm of its likelihood."""
+    """Update the probabilities by a measurement; `evidence` (m,) is the logarithm of its likelihood."""
     evidence = s.evidence
     highest, total = max(evidence), 0.0
     for k in range(COUNT):
@@ -189,7 +189,7 @@ def weigh(s, change):
 
 @njit
 def interval(s, p):
-    """The `Integrated` that is over; the first with a specific force begins the models."""
+    """Return the finished `Integrated`; the first one with a specific force starts the models."""
     dt, turn = s.interval, rotation_vector(s.turn)
     rate = (turn[0] / dt, turn[1] / dt, turn[2] / dt)
     found = s.force_time > 0.5 * dt
@@ -208,7 +208,7 @@ def interval(s, p):
 
 @njit
 def update_models(s, p):
-    """Take the interval that is over into all models, and combine them."""
+    """Update all models by the finished interval, and combine them."""
     x = interval(s, p)
     if x.found:
         across, along = across_thrust(s.models[MULTIROTOR], x)
@@ -227,7 +227,7 @@ def update_models(s, p):
 
 @njit
 def thrust_of_rotors(s, p, dt, along):
-    """Thrust per mass by rotor speeds, κ Σ ω² [m/s²]; κ by least squares from the force `along` body z."""
+    """Return thrust per mass κ Σ ω² [m/s²], with κ by least squares from the force `along` body z."""
     square = s.rotor_sum / s.rotor_time
     s.rotor_product = mean_square(s.rotor_product, square * along, dt, s.time, p.square_memory)
     s.rotor_square = mean_square(s.rotor_square, square * square, dt, s.time, p.square_memory)
@@ -245,17 +245,20 @@ def begin_at(s, accel):
 
 @njit
 def inverted(s, p):
-    """Whether the vertical velocity shows that the estimate is upside down, as it may be after a gap.
+    """Return whether the vertical velocity shows that the estimate is upside down, as after a gap.
 
-    With the memory τ = `climb_time`, that of a vehicle in free fall tends to −g τ, and that of an estimate
-    which takes thrust for a pull towards the ground to −2 g τ.
+    With the memory τ = `climb_time`, the vertical velocity tends to −g τ in free fall, and to −2 g τ if the
+    estimate is upside down.
     """
     return s.velocity[2] < -GRAVITY * p.climb_time
 
 
 @njit
 def step(s, p, sample):
-    """See `driver`. Between updates of the models, the combined attitude turns by the sample."""
+    """Process a sample as described in `driver`.
+
+    Between updates of the models, only the combined attitude is rotated.
+    """
     accumulate(s, p, sample)
     dt, gyro, b = sample.dt, sample.gyro, s.gyro_bias
     if s.interval < 1.0 / MODEL_HZ - 0.5 * dt:
@@ -270,21 +273,22 @@ def step(s, p, sample):
 
 @njit(cache=True, nogil=True)
 def run(states, samples, params, dt, gyro, accel, rotor_vel, out):
-    """See `driver`."""
+    """Process a sample or sequences; see `driver`."""
     run_all(step, states, samples, params, dt, gyro, accel, rotor_vel, out)
 
 
 class InteractingModels(CompiledFilter):
-    """The filter of n vehicles, with the models that it believes; its σ is of their last update."""
+    """The filter for n vehicles, with model probabilities; σ is that of the last update of the models."""
 
     record, run = RECORD, staticmethod(run)
     models = MODELS
     """Names of the models, in the order of `model_probability`."""
 
     def begin(self, states: Records, quat: Array, known: bool) -> None:
-        """Start at an attitude that is known, or level until the first force.
+        """Start at a known attitude, or at level until the first force.
 
-        A start that is given may be wrong, and would pass for a bias: its tilt has the same variance.
+        A given start has the same tilt variance, because a wrong start would otherwise be estimated as a
+        bias.
         """
         models = states["models"]
         sigma = np.array([self.values[f"{part}_sigma"] for part in PARTS[ESTIMATED]])
@@ -299,11 +303,11 @@ class InteractingModels(CompiledFilter):
         states["turn"][:, 0] = 1.0
 
     def tilt_covariance(self) -> Array:
-        """That of the models and, on both axes, of the mean force, which vibration shifts."""
+        """Covariance of the models plus the variance of the mean force, which vibration shifts."""
         shifted = (self.values["rectified_share"] / GRAVITY) ** 2 * self.state["shake"]
         return super().tilt_covariance() + shifted[:, None, None] * np.eye(2)
 
     @property
     def model_probability(self) -> Array:
-        """Probability of each model, (n, 3); a row sums to 1."""
+        """Probability of each model, (n, 3); each row sums to 1."""
         return self.state["probability"].copy()

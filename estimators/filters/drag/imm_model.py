@@ -1,15 +1,15 @@
 """The models of `imm`, each a filter of attitude, motion and sensor errors for one kind of carrier.
 
-A multirotor is that of `drag_aided`; the others have neither wind, direction of thrust nor lever arm, and no
-measurement by drag. The climb v_z is no error here; it is integrated and forgotten within `climb_time`.
+The multirotor is the model of `drag_aided`. The others have no wind, direction of thrust, lever arm or drag
+measurement. The vertical velocity v_z is not an error here: it is integrated with a memory of `climb_time`.
 
-A gyroscope's bias may step. The corrections of θ that a filter expects have together the variance by which
-they reduce that of θ. Let r be the ratio of the square of their sum, within T = `step_time`, to that
-variance. It should be one, but depends on how the vehicle moves: 0.1 in calm flight, 1 where dashes follow
-each other. A step is found where r exceeds `step_ratio` times its own mean over `step_memory`, a threshold of
-constant false-alarm rate (after Willsky & Jones, "A generalized likelihood ratio approach to the detection
-and estimation of jumps in linear systems", IEEE Trans. Autom. Control 21(1), 1976). P is then that of a
-filter which does not know the step:
+The bias of a gyroscope may step. The sum of the expected corrections of θ has a variance equal to the
+reduction of the variance of θ. Let r be the ratio of the square of this sum, within T = `step_time`, to this
+variance. The ratio should be 1, but depends on the motion: 0.1 in calm flight, 1 in repeated dashes. A step
+is detected if r exceeds `step_ratio` times its own mean over `step_memory`, a threshold with constant
+false-alarm rate (after Willsky & Jones, "A generalized likelihood ratio approach to the detection and
+estimation of jumps in linear systems", IEEE Trans. Autom. Control 21(1), 1976). The covariance is then
+increased to that of an unknown step:
 
     P ← P + `step_sigma`² G Gᵀ,    G = (−T R, ½ T² g × R, I) of θ, v and b
 """
@@ -62,48 +62,50 @@ STATE = np.dtype(
 """State of one model."""
 
 WIND_NOISE_MOST = 10.0
-"""Largest noise density of the wind [m/s/√s]: it turns by as much as a hurricane's gusts."""
+"""Largest noise density of the wind, that of gusts in a hurricane [m/s/√s]."""
 FREEDOM = 4.0
 """Degrees of freedom of Student's t."""
 
 
 class Integrated(NamedTuple):
-    """Readings since the last update of the models, in compiled code."""
+    """Integrated readings since the last update of the models, in compiled code."""
 
     dt: float
-    """Its length [s]."""
+    """Length of the interval [s]."""
     turn: tuple[float, float, float]
-    """Rotation vector that the gyroscope measured [rad]."""
+    """Measured rotation vector [rad]."""
     rate: tuple[float, float, float]
-    """Mean rate [rad/s]."""
+    """Mean body rate [rad/s]."""
     unseen: float
-    """Variance of the unmeasured turn [rad²]."""
+    """Variance of the unmeasured rotation [rad²]."""
     found: bool
     """Whether there is a specific force."""
     accel: tuple[float, float, float]
-    """Its mean, axes at the end of the interval [m/s²]."""
+    """Mean specific force, in body axes at the end of the interval [m/s²]."""
     body: tuple[float, float, float]
-    """Its mean in body axes, which turn [m/s²]."""
+    """Mean specific force, in rotating body axes [m/s²]."""
     thrust: float
     """Thrust per mass [m/s²]."""
     arm: tuple[float, float]
-    """What one metre of lever arm adds to the specific force [1/s²]."""
+    """Addition to the specific force per metre of lever arm [1/s²]."""
     resting: bool
     """Whether the sensors are at rest."""
 
 
 @njit
 def size_of(k):
-    """Errors in the state of model k."""
+    """Return the number of errors in model k."""
     return ERRORS if k == MULTIROTOR else SHARED
 
 
 @njit
 def adapt_wind(m, p, dt, moved):
-    """Raise the wind's noise while corrections of the airspeed (2,) follow each other, and else lower it.
+    """Increase the noise of the wind while corrections of the airspeed (2,) are correlated.
 
-    The square of their sum over a short memory is the sum of their squares where they are white, as those of
-    a filter whose noise is right, and more where the wind turns faster than its noise says.
+    Decrease it otherwise.
+
+    If the corrections are white, the square of their sum over a short memory equals the sum of their squares.
+    It is larger if the wind changes faster than its noise allows.
     """
     leak = min(dt / p.wind_window, 0.5)
     square = 0.0
@@ -119,13 +121,13 @@ def adapt_wind(m, p, dt, moved):
 
 @njit
 def student(square, determinant):
-    """Logarithm of the density of two variables, Student's t, less a constant; see `correct_by_drag`."""
+    """Return the log-density of Student's t for two variables, up to a constant; see `correct_by_drag`."""
     return -0.5 * (FREEDOM + 2.0) * math.log(1.0 + square / FREEDOM) - 0.5 * math.log(determinant)
 
 
 @njit
 def velocity_density(m, sigma):
-    """Logarithm of the density of the horizontal velocity, of standard deviation sigma [m/s]."""
+    """Return the log-density of the horizontal velocity, with standard deviation sigma [m/s]."""
     P, vx, vy = m.covariance, m.velocity[0], m.velocity[1]
     xx, yy = sigma * sigma + P[VELOCITY, VELOCITY], sigma * sigma + P[VELOCITY + 1, VELOCITY + 1]
     xy = P[VELOCITY, VELOCITY + 1]
@@ -135,21 +137,21 @@ def velocity_density(m, sigma):
 
 @njit
 def across_thrust(m, x):
-    """Force across the direction of thrust, less the accelerometer's bias and the lever arm's [m/s²]."""
+    """Return the force perpendicular to thrust, without accelerometer bias and lever-arm effect [m/s²]."""
     first = x.body[0] - m.accel_bias[0] - GRAVITY * m.offset[0] - x.arm[0] * m.lever
     return first, x.body[1] - m.accel_bias[1] - GRAVITY * m.offset[1] - x.arm[1] * m.lever
 
 
 @njit
 def force_density(x, y, mean_square, least):
-    """Logarithm of the density of a force across an axis, of that mean square for each of x and y [m/s²]."""
+    """Return the log-density of a force perpendicular to an axis, for a mean square per component [m/s²]."""
     variance = mean_square + least * least
     return student((x * x + y * y) / variance, variance * variance)
 
 
 @njit
 def predict_model(m, k, s, p, x):
-    """Propagate model k of the filter s over an interval; R̂ by rows."""
+    """Propagate model k of the filter s over an interval; return R̂ by rows."""
     v, c, dt, turn = m.velocity, m.accel_bias, x.dt, x.turn
     m.time = s.time
     rate_square = (turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2) / dt
@@ -168,7 +170,7 @@ def predict_model(m, k, s, p, x):
 
 @njit
 def correct_model(m, k, s, p, x, matrix):
-    """Correct model k of the filter s by an interval's measurements; logarithm of their likelihood."""
+    """Correct model k of the filter s by the measurements of an interval; return their log-likelihood."""
     P, accel, dt, size, dx = m.covariance, x.accel, x.dt, size_of(k), s.error
     dx[:] = 0.0
     speed = p.hand_speed if k == HAND else p.flight_speed
@@ -197,7 +199,10 @@ def correct_model(m, k, s, p, x, matrix):
 
 @njit
 def adapt_bias(m, p, dt, dx, removed, matrix):
-    """Take a correction of the tilt, and the variance that it removed; know less of a bias that steps."""
+    """Monitor corrections of the tilt and the variance that they removed.
+
+    Increase the covariance if the bias steps.
+    """
     leak, scatter, P = dt / p.step_time, 0.0, m.covariance
     for k in range(2):
         m.tilt_sum[k] += dx[TILT + k] - leak * m.tilt_sum[k]
@@ -223,7 +228,10 @@ def adapt_bias(m, p, dt, dx, removed, matrix):
 
 @njit
 def share_heading(s):
-    """Turn all models about the vertical to the likeliest one's heading; their tilts from it."""
+    """Rotate all models about the vertical to the heading of the most probable one.
+
+    Return their tilts from it.
+    """
     best = 0
     for k in range(COUNT):
         best = k if s.probability[k] > s.probability[best] else best
@@ -246,7 +254,10 @@ def share_heading(s):
 
 @njit
 def distance(m, s, d):
-    """Error of a combined state against a model's, d (ERRORS,); `tilt` is from the combined attitude."""
+    """Compute the error d (ERRORS,) of a combined state relative to a model.
+
+    `tilt` is from the combined attitude.
+    """
     x, y, v = m.tilt[0], m.tilt[1], s.velocity
     d[TILT], d[TILT + 1] = x, y
     d[VELOCITY] = m.velocity[0] - v[0] - y * v[2]
@@ -259,7 +270,7 @@ def distance(m, s, d):
 
 @njit
 def combine(s):
-    """Mean and covariance over all models of what they share."""
+    """Compute mean and covariance of the common state over all models."""
     best, d = share_heading(s), s.error
     x = y = s.accel_square = 0.0
     s.velocity[:], s.gyro_bias[:], s.accel_bias[:], s.covariance[:] = 0.0, 0.0, 0.0, 0.0
@@ -283,7 +294,7 @@ def combine(s):
 
 @njit
 def mix(s, p, change):
-    """Move each model towards the combination by the share of its probability that comes from others."""
+    """Move each model towards the combination by the share of probability from other models."""
     d = s.error
     for k in range(COUNT):
         m = s.models[k]
@@ -308,7 +319,7 @@ def mix(s, p, change):
 
 @njit
 def forget_airframe(m, p, share):
-    """Mix what multirotors alone have with the initial state, by that share."""
+    """Mix the states that only multirotors have with their initial values, by this share."""
     own, P = 1.0 - share, m.covariance
     for i in range(SHARED, ERRORS):
         for j in range(ERRORS):

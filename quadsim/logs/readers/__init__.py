@@ -1,1 +1,1 @@
-"""Readers, one a format: each maps a format's names and units to those of `quadsim.logs.recording`."""
+"""Readers of log formats, which convert names and units to those of `quadsim.logs.recording`."""

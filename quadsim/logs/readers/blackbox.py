@@ -1,7 +1,8 @@
-"""Betaflight's blackbox logs (.bbl, .bfl), through `blackbox_decode` of its blackbox-tools: FLU body axes.
+"""Betaflight's blackbox logs (.bbl, .bfl) in FLU body axes, decoded by `blackbox_decode` of blackbox-tools.
 
-Betaflight's axes are ours (src/main/flight/imu.c): a level accelerometer reads +1 g on z, and positive rates
-roll right, pitch the nose down and yaw left. The log's header has the scales (src/main/blackbox/blackbox.c).
+Betaflight's axes equal those of quadsim (src/main/flight/imu.c): a level accelerometer reads +1 g on z, and
+positive rates roll right, pitch the nose down and yaw left. The header of a log contains the scales
+(src/main/blackbox/blackbox.c).
 """
 
 import re
@@ -18,15 +19,15 @@ from ..recording import OWN_ESTIMATE, Array, Recording, Track
 
 PROGRAM = "blackbox_decode"
 START = b"H Product:Blackbox flight data recorder"
-"""What each log of a file begins with; one is written each time that the vehicle is armed."""
+"""First bytes of each log in a file. A log is written each time the vehicle is armed."""
 G = 9.80665
 HIGH_RESOLUTION = 10.0
-"""Factor of the rates where the header has blackbox_high_resolution."""
+"""Factor of the rates if the header has blackbox_high_resolution."""
 QUAT_SCALE = 32767.0
 
 
 def read_blackbox(path: Path) -> Recording:
-    """Read gyroADC and accSmooth of the longest log in a file, and imuQuaternion and eRPM where logged.
+    """Read gyroADC, accSmooth and, if logged, imuQuaternion and eRPM of the longest log in a file.
 
     Args:
         path: A .bbl or .bfl file.
@@ -66,7 +67,7 @@ def read_blackbox(path: Path) -> Recording:
 
 
 def _decoded(path: Path, number: int) -> pd.DataFrame:
-    """The frames of a log of a file, counted from 1, in the units in which they were recorded."""
+    """Return the frames of one log of a file, counted from 1, in recorded units."""
     program = shutil.which(PROGRAM)
     if program is None:
         raise ValueError(

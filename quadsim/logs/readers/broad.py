@@ -1,4 +1,4 @@
-"""Trials of the BROAD benchmark (Laidig et al. 2021): HDF5, MAT, or NumPy's npz with the same numbers."""
+"""Trials of the BROAD benchmark (Laidig et al. 2021), as HDF5, MAT or NumPy npz files."""
 
 import zipfile
 from collections.abc import Mapping
@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 from ..recording import Array, Recording, Track
 
 RATE_HZ = 2000.0 / 7.0
-"""Sample rate of the benchmark, where a file does not say."""
+"""Sample rate of the benchmark, for files that do not give one."""
 
 
 def read_broad(path: Path) -> Recording:
-    """Read a trial: IMU and magnetometer in its axes (FLU), optical attitude (z up), and what is scored."""
+    """Read a trial: IMU and magnetometer in FLU axes, optical attitude (z up), and the samples to score."""
     content = {".hdf5": _hdf5, ".h5": _hdf5, ".mat": _mat, ".npz": _npz}[path.suffix.lower()](path)
     names = {"gyro": "imu_gyr", "acc": "imu_acc", "quat": "opt_quat"}
     found = {new: content.get(old, content.get(new)) for new, old in names.items()}

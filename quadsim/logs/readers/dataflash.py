@@ -1,7 +1,8 @@
 """ArduPilot's DataFlash logs (.bin): FRD body axes in an NED world.
 
-Layout (ArduPilot, libraries/AP_Logger/LogStructure.h), little-endian: messages of 0xA3, 0x95, a type and its
-values; messages of type 128, FMT, give the length, name, codes of the values and their names of each type.
+The layout (ArduPilot, libraries/AP_Logger/LogStructure.h) is little-endian. A message consists of 0xA3, 0x95,
+a type and values. Messages of type 128, FMT, define the other types: length, name, and codes and names of the
+values.
 """
 
 from pathlib import Path
@@ -20,24 +21,24 @@ CODES = {
     **{"c": "i2", "C": "u2", "e": "i4", "E": "u4", "L": "i4", "g": "f2", "f": "f4", "d": "f8"},
     **{"n": "S4", "N": "S16", "Z": "S64", "a": "S64"},
 }
-"""Code of a value to its type in NumPy; c, C, e and E are hundredths, and none of those is read here."""
+"""NumPy type for each value code. The codes c, C, e and E are hundredths and are not used here."""
 LAYOUT = np.dtype(
     [("head", "S3"), ("type", "u1"), ("length", "u1"), ("name", "S4"), ("codes", "S16"), ("names", "S64")]
 )
-"""A message of type FMT."""
+"""Layout of a message of type FMT."""
 WANTED = ("IMU", "SIM", "ATT", "MAG", "ESC")
 
 
 def read_dataflash(path: Path) -> Recording:
-    """Read IMU (the first one), the attitude, and the speeds of ESCs and the magnetometer if there are.
+    """Read the first IMU, the attitude and, if logged, rotor speeds from ESCs and the magnetometer.
 
-    The attitude is that of SIM, the simulator's, or else of ATT, the autopilot's own estimate.
+    The attitude is that of the message SIM, from a simulator, or else that of ATT, the autopilot's estimate.
 
     Args:
         path: A .bin file.
 
     Raises:
-        ValueError: Not such a log, or no IMU in it.
+        ValueError: The file is not a DataFlash log, or the log has no IMU.
     """
     found, skipped = _decoded(np.frombuffer(path.read_bytes(), np.uint8))
     if "TimeUS" not in found.get("IMU", ()):
@@ -69,7 +70,7 @@ def read_dataflash(path: Path) -> Recording:
 
 
 def _decoded(content: NDArray[np.uint8]) -> tuple[dict[str, pd.DataFrame], int]:
-    """Messages by their type, of those that are not wanted without columns; and bytes of no message."""
+    """Decode messages by type; return messages and the number of bytes outside messages."""
     found = {}
     starts, skipped = _starts(content)
     kinds = content[starts + 2]
@@ -89,7 +90,7 @@ def _decoded(content: NDArray[np.uint8]) -> tuple[dict[str, pd.DataFrame], int]:
 
 @njit(cache=True)
 def _starts(content):
-    """Where messages begin in bytes (N,), (M,), and how many bytes belong to none."""
+    """Return where messages begin in bytes (N,), (M,), and the number of bytes outside messages."""
     starts, lengths = np.empty(content.size // 3 + 1, np.int64), np.zeros(256, np.int64)
     lengths[FMT] = 89
     at, count, skipped = 0, 0, 0
@@ -109,12 +110,15 @@ def _starts(content):
 def _rows(
     content: NDArray[np.uint8], starts: NDArray[np.int64], layout: np.dtype[np.void]
 ) -> NDArray[np.void]:
-    """Messages that begin at bytes (M,) of a log, (M,) of their layout."""
+    """Return messages that begin at bytes (M,) of a log, as (M,) records of their layout."""
     return content[starts[:, None] + np.arange(layout.itemsize)].view(layout)[:, 0]
 
 
 def _first(messages: pd.DataFrame) -> pd.DataFrame:
-    """Messages of the first sensor of its kind: older logs name one in the type, such as IMU2."""
+    """Return messages of the first sensor of a kind.
+
+    Older logs name other sensors in the type, such as IMU2.
+    """
     instance = next((name for name in ("I", "Instance") if name in messages), None)
     return messages if instance is None else messages.loc[messages[instance] == messages[instance].min()]
 

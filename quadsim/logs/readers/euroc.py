@@ -13,23 +13,23 @@ TRUTHS = {
     "mocap0": "motion capture",
     "vicon0": "Vicon poses",
 }
-"""Folders with stamp, position and quaternion, the best first."""
+"""Folders with stamp, position and quaternion, the most accurate first."""
 
 
 def euroc_folder(path: Path) -> Path | None:
-    """The folder with imu0 of a sequence; None if this is no such folder."""
+    """Return the folder of a sequence that contains imu0; None if there is none."""
     places = [path, path / "mav0", *sorted(path.glob("*/mav0"))]
     return next((place for place in places if (place / "imu0" / "data.csv").is_file()), None)
 
 
 def read_euroc(path: Path, truth: str | None = None) -> Recording:
-    """Read imu0, rotated by its T_BS into the dataset's body axes, which its ground truth is of.
+    """Read imu0, rotated by its T_BS into the body axes of the dataset, and the ground truth.
 
-    These are the axes of its IMU, in EuRoC with x up: a mount rotates readings and truth.
+    In EuRoC, the body axes are those of the IMU, with x up. A mount rotates both readings and ground truth.
 
     Args:
-        path: A sequence, or its mav0.
-        truth: Folder to take for the true attitude; None for the first of TRUTHS that is there.
+        path: The folder of a sequence, or its subfolder mav0.
+        truth: Folder of the true attitude; None for the first existing one of TRUTHS.
     """
     folder = euroc_folder(path)
     if folder is None:
@@ -67,7 +67,7 @@ def _numbers(file: Path, least: int) -> Array:
 
 
 def _rotation(file: Path) -> Array:
-    """Rotation of T_BS in a sensor.yaml; the identity where there is none."""
+    """Return the rotation of T_BS in a sensor.yaml; the identity if there is none."""
     text = file.read_text(encoding="utf-8") if file.is_file() else ""
     found = re.search(r"T_BS:.*?data:\s*\[([^\]]*)\]", text, re.DOTALL)
     if found is None:

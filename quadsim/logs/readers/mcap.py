@@ -1,4 +1,4 @@
-"""Topics and messages of an MCAP file, through mcap: encodings of ROS 2 and ROS 1, and Foxglove's JSON."""
+"""Topics and messages of MCAP files in the encodings of ROS 2, ROS 1 and Foxglove's JSON."""
 
 import json
 import re
@@ -10,30 +10,30 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 ROS = {"ros2msg": "deserialize_cdr", "ros1msg": "deserialize_ros1"}
-"""Encoding of a schema to the method of a rosbags typestore that reads its messages."""
+"""For each schema encoding, the method of a rosbags typestore that decodes messages."""
 
 
 class Topic(NamedTuple):
-    """A topic of a log, and how many messages of which kind it has."""
+    """A topic of a log, with the number and the kind of its messages."""
 
     name: str
     kind: str
-    """As ROS 2 names it, such as sensor_msgs/msg/Imu, or as Foxglove does, such as foxglove.PoseInFrame."""
+    """Message type in the notation of ROS 2 (sensor_msgs/msg/Imu) or Foxglove (foxglove.PoseInFrame)."""
     messages: int
 
 
 Message = tuple[Topic, float, Any]
-"""Its topic, when it was received [s], and an object with the message's fields."""
+"""Topic, time of reception [s], and an object with the fields of the message."""
 Opened = tuple[list[Topic], Callable[[Collection[str]], Iterator[Message]]]
-"""Topics of a log that can be read, and a function that iterates over the messages of those named."""
+"""Readable topics of a log, and a function that iterates over the messages of named topics."""
 
 
 @contextmanager
 def open_mcap(path: Path) -> Iterator[Opened]:
-    """Topics of an MCAP file, and its messages in the order of time; a topic in Protobuf is left out.
+    """Return topics of an MCAP file and its messages in order of time; Protobuf topics are omitted.
 
     Raises:
-        ValueError: The file is cut off, or has topics, but none in an encoding that can be read.
+        ValueError: The file is truncated, or none of its topics has a supported encoding.
     """
     from mcap.exceptions import McapError
     from mcap.reader import make_reader
@@ -64,7 +64,7 @@ def open_mcap(path: Path) -> Iterator[Opened]:
 
 
 def _decoder(schema: Any, encoding: str) -> Callable[[bytes], Any] | None:
-    """From the bytes of a message to an object with its fields; None for an encoding that is not known."""
+    """Return a function that decodes the bytes of a message; None for an unknown encoding."""
     if encoding == "json":
         return partial(json.loads, object_hook=lambda fields: SimpleNamespace(**fields))
     if schema.encoding not in ROS or encoding not in ("cdr", "ros1"):
@@ -78,7 +78,7 @@ def _decoder(schema: Any, encoding: str) -> Callable[[bytes], Any] | None:
 
 
 def _kind(schema: str) -> str:
-    """A schema's name as ROS 2 has it, or as Foxglove has its own."""
+    """Return the name of a schema in the notation of ROS 2 or Foxglove."""
     if schema.startswith("foxglove_msgs/"):
         return f"foxglove.{schema.rpartition('/')[2]}"
     return re.sub(r"^(\w+)/(\w+)$", r"\1/msg/\2", schema)

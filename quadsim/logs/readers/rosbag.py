@@ -1,4 +1,4 @@
-"""Bags of ROS 1 and 2, and MCAP, through rosbags and mcap: FLU body axes in an ENU world (REP 103)."""
+"""Bags of ROS 1 and ROS 2, and MCAP files: FLU body axes in an ENU world (REP 103)."""
 
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
@@ -19,17 +19,17 @@ POSES = {
     "nav_msgs/msg/Odometry": ("pose.pose.position", "pose.pose.orientation"),
     "foxglove.PoseInFrame": ("pose.position", "pose.orientation"),
 }
-"""Messages that hold a pose, the most likely motion capture first, and its place in them."""
+"""Message types that contain a pose, most likely motion capture first, and the path to the pose."""
 
 
 def read_rosbag(path: Path, imu: str | None = None, truth: str | None = None) -> Recording:
     """Read the IMU topic and a pose topic.
 
     Args:
-        path: A .bag file (ROS 1), or a ROS 2 bag's folder, .db3 or .mcap, in its folder or alone.
+        path: A .bag file (ROS 1); or a folder, .db3 or .mcap file of a ROS 2 bag.
         imu: Topic of the IMU; None for the one with the most messages.
-        truth: Topic of the true attitude; None for the first kind of POSES that is there, and failing that
-            the orientation in the IMU's own messages.
+        truth: Topic of the true attitude; None for the first type of POSES in the bag or, if there is none,
+            the orientation in the IMU messages.
     """
     in_folder = path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").is_file()
     alone = path.suffix == ".mcap" and not in_folder and path.is_file()
@@ -63,7 +63,7 @@ def read_rosbag(path: Path, imu: str | None = None, truth: str | None = None) ->
 
 
 def _pose(message: Any, kind: str) -> tuple[float, ...]:
-    """Position and quaternion (w, x, y, z)."""
+    """Return position and quaternion (w, x, y, z)."""
     position, q = (attrgetter(name)(message) for name in POSES[kind])
     return (*_xyz(position), q.w, *_xyz(q))
 
@@ -73,7 +73,7 @@ def _xyz(vector: Any) -> tuple[float, float, float]:
 
 
 def _stamp(message: Any) -> float:
-    """When a message was measured [s]; 0 where it does not say."""
+    """Return the time stamp in a message [s]; 0 if there is none."""
     stamp = message.header.stamp if hasattr(message, "header") else getattr(message, "timestamp", None)
     if stamp is None:
         return 0.0
@@ -82,7 +82,7 @@ def _stamp(message: Any) -> float:
 
 @contextmanager
 def _open_bag(path: Path) -> Iterator[Opened]:
-    """Topics and messages of a bag, as `open_mcap` has them."""
+    """Return topics and messages of a bag, as `open_mcap` does."""
     from rosbags.highlevel import AnyReader, AnyReaderError
     from rosbags.typesys import Stores, get_typestore
 
@@ -102,7 +102,10 @@ def _open_bag(path: Path) -> Iterator[Opened]:
 
 
 def _topic(topics: list[Topic], path: Path, asked: str | None, kinds: list[str]) -> Topic | None:
-    """The topic asked for, or else that of the first kind with the most messages; None if there is none."""
+    """Return the requested topic or, by default, the topic of the first kind with most messages.
+
+    The result is None if there is none.
+    """
     found = [each for each in topics if each.kind in kinds and asked in (None, each.name)]
     if asked is not None and not found:
         raise ValueError(f'{path}: no topic "{asked}" of the right kind; topics: {_all_topics(topics)}')

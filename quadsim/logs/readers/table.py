@@ -1,4 +1,4 @@
-"""Any CSV, by a TOML file that says what its columns are: names, units, axes and rate."""
+"""CSV files, described by a TOML file with names, units, axes and sample rate."""
 
 import math
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from ...rotation import quat_conjugate, quat_from_euler, wxyz_from_xyzw
 from ..recording import Array, AxesConvention, Recording, Track, TruthAxes, from_frd, mount_matrix, mounted
 
 Column = str | Annotated[int, Between(0, 9999)]
-"""A name in the header, or a number counted from 0."""
+"""Column of the CSV file: a name in the header, or an index from 0."""
 UNITS = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     "gyro": {"rad/s": 1.0, "deg/s": math.pi / 180},
@@ -24,16 +24,16 @@ UNITS = {
     "rotor_vel": {"rad/s": 1.0, "rpm": math.pi / 30},
     "mag": {"T": 1.0, "uT": 1e-6, "G": 1e-4},
 }
-"""Units of each part of a map, the first if none is given, in SI units."""
+"""Allowed units of each part and their values in SI units; the first is the default."""
 
 
 class Time(Strict):
-    """Stamps: a column, or a rate where there is none."""
+    """Time stamps: a column, or a sample rate if there is no such column."""
 
     column: Column | None = None
     unit: str = "s"
     rate_hz: SampleRate | None = None
-    """Samples per second of a file without stamps."""
+    """Samples per second, for a file without time stamps."""
 
     @model_validator(mode="after")
     def _check(self) -> "Time":
@@ -43,18 +43,18 @@ class Time(Strict):
 
 
 class Columns(Strict):
-    """The columns of a sensor, or of roll, pitch and yaw (intrinsic z-y'-x'')."""
+    """Three columns, of a sensor or of roll, pitch and yaw (intrinsic z-y'-x'')."""
 
     columns: tuple[Column, ...]
     unit: str | None = None
-    """One of `UNITS`."""
+    """Unit of the columns; empty for the SI unit."""
 
 
 class Accel(Columns):
     """The three columns of the accelerometer."""
 
     negate: bool = False
-    """The file holds gravity (at rest it points down) in place of specific force."""
+    """Whether the sign is inverted: at rest, the columns contain gravity, which points down."""
 
 
 class Quat(Strict):
@@ -66,19 +66,20 @@ class Quat(Strict):
 
 
 class Table(Strict):
-    """What the columns of a CSV are."""
+    """Description of the columns of a CSV file."""
 
     file: str
-    """The CSV, from the folder of this TOML."""
+    """The CSV file; a relative path starts from the folder of the TOML file."""
     delimiter: str = ","
     header: bool = True
-    """The first row holds names."""
+    """Whether the first row contains names."""
     frame: AxesConvention = "flu"
-    """flu: body forward-left-up, world z up; frd: forward-right-down in north-east-down."""
+    """Axes of the file. flu: body axes forward-left-up, world z up. frd: forward-right-down in a
+    north-east-down world."""
     mount: str = "x,y,z"
-    """Rotation from IMU axes to those of the frame, as `mount_matrix` takes it."""
+    """Rotation from IMU axes to body axes, in the notation of `--mount`."""
     truth_axes: TruthAxes = "body"
-    """Whose attitude the file holds: of the frame already, or of the IMU, which the mount rotates too."""
+    """Whether the file contains the attitude of the body, or of the IMU, which the mount also rotates."""
     time: Time
     gyro: Columns
     accel: Accel
@@ -88,7 +89,7 @@ class Table(Strict):
     position: tuple[Column, Column, Column] | None = None
     """Columns of the position [m]."""
     rotor_vel: Columns | None = None
-    """One column a rotor."""
+    """Columns of the rotor speeds, one per rotor."""
     mag: Columns | None = None
 
     @model_validator(mode="after")
@@ -108,13 +109,13 @@ class Table(Strict):
 
 
 def read_table(path: Path) -> Recording:
-    """Read the CSV that a column map names.
+    """Read the CSV file that a TOML file describes.
 
     Args:
         path: The TOML file.
 
     Raises:
-        ValueError: One line: a bad map, a column that is not there, or a value that is no number.
+        ValueError: The description is invalid, a column is missing, or a value is not a number.
     """
     spec = load_toml(path, "logs", Table)
     file = path.parent / spec.file
@@ -150,7 +151,7 @@ def read_table(path: Path) -> Recording:
 
 
 def _rows(file: Path, spec: Table) -> tuple[list[str], Array]:
-    """Names of the columns, and all numbers; an empty field is NaN."""
+    """Return the names of the columns and all numbers; an empty field is NaN."""
     try:
         cells = pd.read_csv(
             file, sep=spec.delimiter, header=None, dtype=str, encoding="utf-8-sig", skipinitialspace=True

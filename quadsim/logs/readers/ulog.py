@@ -1,4 +1,4 @@
-"""PX4 logs (ULog), through pyulog."""
+"""PX4 logs (ULog), read by pyulog."""
 
 import errno
 import io
@@ -11,37 +11,37 @@ import numpy as np
 from ..recording import OWN_ESTIMATE, Array, Recording, Track, from_frd
 
 OWN = "vehicle_attitude"
-"""The autopilot's estimate: it is of the axes in which the IMU is logged."""
+"""Topic of the autopilot's own estimate, in the axes in which the IMU is logged."""
 TRUTHS = {
     "vehicle_attitude_groundtruth": "the simulator's truth",
     "vehicle_mocap_odometry": "motion capture",
     "vehicle_visual_odometry": "visual odometry or motion capture",
     OWN: f"the autopilot's {OWN_ESTIMATE}",
 }
-"""Topics that hold an attitude `q` (FRD body in NED world), the best first."""
+"""Topics with an attitude `q` (FRD body in NED world), the most accurate first."""
 Topic = Mapping[str, Any]
-"""Fields of a topic, (T,) each."""
+"""Fields of a topic by name, (T,) each."""
 IMUS = {
     "sensor_combined": ("IMU from sensor_combined", ("gyro_rad", "accelerometer_m_s2")),
     "vehicle_imu": ("IMU from the increments of vehicle_imu", ("delta_angle", "delta_velocity")),
 }
-"""Topics of the IMU, the best first, to a note and their fields."""
+"""Topics of the IMU in order of preference, each with a note and its fields."""
 MAGNETOMETERS = {
     "vehicle_magnetometer": [f"magnetometer_ga[{k}]" for k in range(3)],
     "sensor_mag": ["x", "y", "z"],
 }
-"""Topics that hold the magnetic field in FRD axes [G] and their fields, the calibrated one first."""
+"""Topics with the magnetic field in FRD axes [G] and their fields, the calibrated one first."""
 
 
 class Bounded(io.BufferedReader):
-    """A file that can be read a few times over: in some damaged ones pyulog seeks back without an end."""
+    """A file that limits the number of bytes read, because pyulog does not stop on some damaged files."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(io.FileIO(path))
         self.path, self.left = path, 4 * path.stat().st_size + 1_000_000
 
     def read(self, size: int | None = -1, /) -> bytes:
-        """Bytes, as long as there are any to spend."""
+        """Read bytes, up to the limit."""
         found = super().read(size)
         self.left -= len(found) + 1
         if self.left < 0:  # pyulog takes a ValueError for a damaged message, and continues
@@ -50,11 +50,11 @@ class Bounded(io.BufferedReader):
 
 
 def read_ulog(path: Path, truth: str | None = None) -> Recording:
-    """Read sensor_combined (or vehicle_imu), the best attitude topic, and ESCs and magnetometer if there are.
+    """Read sensor_combined or vehicle_imu, an attitude and, if logged, rotor speeds and the magnetometer.
 
     Args:
         path: A .ulg file.
-        truth: Topic to take for the true attitude; None for the first of TRUTHS that is there.
+        truth: Topic of the true attitude; None for the first existing one of TRUTHS.
     """
     from pyulog import ULog
 

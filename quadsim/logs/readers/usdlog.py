@@ -1,8 +1,9 @@
-"""Logs of the Crazyflie's uSD card deck, versions 1 and 2 of its format.
+"""Logs of the Crazyflie's uSD card deck, in versions 1 and 2 of the format.
 
-Layout (bitcraze.io, "uSD-card deck"), little-endian: 0xBC, version, number of event types; of each type its
-number, name and variables as "group.name(t)" with t a code of `struct`; then events, each the number of its
-type, a stamp (version 1: uint32 [ms], version 2: uint64 [µs]) and the values; last the CRC-32 of all before.
+The layout (bitcraze.io, "uSD-card deck") is little-endian. The header contains 0xBC, the version and the
+number of event types, and for each type its number, name and variables as "group.name(t)", where t is a code
+of `struct`. Each event contains the number of its type, a stamp (version 1: uint32 [ms], version 2: uint64
+[µs]) and values. The file ends with the CRC-32 of all preceding bytes.
 """
 
 import struct
@@ -18,7 +19,7 @@ from ..thresholds import CLEAN
 
 MAGIC = 0xBC
 STAMPS = {1: ("<HI", 1e-3), 2: ("<HQ", 1e-6)}
-"""Version to the layout of an event's head and its unit of time [s]."""
+"""For each version, the layout of an event's header and the unit of time [s]."""
 GYRO = ("gyro.x", "gyro.y", "gyro.z")
 ACCEL = ("acc.x", "acc.y", "acc.z")
 ROTORS = ("rpm.m1", "rpm.m2", "rpm.m3", "rpm.m4")
@@ -26,11 +27,11 @@ TRUTHS = {
     "locSrv": "motion capture",
     "stateEstimate": f"the autopilot's {OWN_ESTIMATE}",
 }
-"""Groups that hold an attitude qw, qx, qy, qz (FLU body in a world with z up), the best first."""
+"""Groups with an attitude qw, qx, qy, qz (FLU body in a world with z up), the most accurate first."""
 
 
 class Event(NamedTuple):
-    """One type of event, and what was logged of it: a stamp and the values in each row."""
+    """One type of event and its logged data: a stamp and values in each row."""
 
     name: str
     variables: list[str]
@@ -39,7 +40,7 @@ class Event(NamedTuple):
 
 
 def is_usdlog(path: Path) -> bool:
-    """Whether a file begins as such a log; the deck gives its files no suffix."""
+    """Return whether a file starts like a log of the deck, whose files have no suffix."""
     if not path.is_file():
         return False
     with path.open("rb") as stream:
@@ -48,13 +49,14 @@ def is_usdlog(path: Path) -> bool:
 
 
 def read_usdlog(path: Path) -> Recording:
-    """Read gyroscope [deg/s], accelerometer [g], and attitude, position and rotor speeds [rpm] where logged.
+    """Read gyroscope [deg/s], accelerometer [g] and, if logged, attitude, position and rotor speeds [rpm].
 
     Args:
         path: A file of the deck, such as log00.
 
     Raises:
-        ValueError: Not such a log, an unknown version, a damaged header, or no gyroscope and accelerometer.
+        ValueError: The file is not a log of the deck, has an unknown version or a damaged header, or lacks
+            gyroscope or accelerometer.
     """
     events, notes = decode(path)
     imu = _track(events, GYRO + ACCEL)
@@ -87,10 +89,10 @@ def read_usdlog(path: Path) -> Recording:
 
 
 def decode(path: Path) -> tuple[list[Event], tuple[str, ...]]:
-    """Events of which something was logged, and what is wrong with the file.
+    """Return event types with logged data, and a description of damage to the file.
 
     Raises:
-        ValueError: Not such a log, an unknown version, or a damaged header.
+        ValueError: The file is not a log of the deck, or has an unknown version or a damaged header.
     """
     data = path.read_bytes()
     if len(data) < 5 or data[0] != MAGIC:
@@ -117,7 +119,7 @@ def decode(path: Path) -> tuple[list[Event], tuple[str, ...]]:
 
 
 def _header(data: bytes, count: int) -> tuple[dict[int, Event], int]:
-    """Types of events by their number, and where the first event begins."""
+    """Return event types by number, and the offset of the first event."""
     events, at = {}, 5
     for _ in range(count):
         (number,) = struct.unpack_from("<H", data, at)
@@ -144,7 +146,7 @@ def _text(data: bytes, at: int) -> tuple[str, int]:
 
 
 def _track(events: list[Event], names: tuple[str, ...]) -> Track | None:
-    """Variables of the event that logged all of them most often."""
+    """Return variables of the event type that contains all of them and was logged most often."""
     found = [event for event in events if {*names} <= {*event.variables}]
     if not found:
         return None
