@@ -25,7 +25,7 @@ def best_of(call: Callable[[], object], repetitions: int) -> float:
     return min(spent(call)[1] for _ in range(repetitions))
 
 
-def motion(flights: int, seconds: float) -> Readings:
+def random_motion(flights: int, seconds: float) -> Readings:
     """Smooth random rates and a noisy specific force; what they are hardly matters to the speed."""
     rng, steps = np.random.default_rng(0), round(seconds * RATE_HZ)
     t = np.arange(steps) / RATE_HZ
@@ -43,7 +43,7 @@ def ns_per_sample(name: str, gyro: NDArray, accel: NDArray, repetitions: int) ->
 
 def measure(flights: int = 16, seconds: float = 100.0) -> pd.DataFrame:
     """Estimators and peers: a sample of a batch, and that over VQF's C++."""
-    gyro, accel = motion(flights, seconds)
+    gyro, accel = random_motion(flights, seconds)
     few = slice(0, 2000)
     cpp = best_of(lambda: VQF(1.0 / RATE_HZ).updateBatch(gyro[0], accel[0]), 5) / gyro.shape[1] * 1e9
     found: dict[str, float] = {}

@@ -28,7 +28,7 @@ from quadsim.flight.simulate import simulate_flights
 from quadsim.imu.spec import load_imu
 from quadsim.motion.engine import vehicle_model
 from quadsim.vehicle import load_vehicle
-from scenarios.bench.flight_log import fly
+from scenarios.bench.flight_log import fly_mission
 
 from .timing import in_turns, spent
 
@@ -93,7 +93,7 @@ def cell(estimator: str, n: int = 20) -> Job:
     scenario = load_scenario("wind-gust")
     made = estimators.create(estimator, RATE, vehicle=scenario.vehicle, imu=scenario.imu)
     mission = Mission(scenario, made, n, RATE)
-    return lambda: fly(mission, seed=0), n * mission.steps
+    return lambda: fly_mission(mission, seed=0), n * mission.steps
 
 
 def all_jobs() -> dict[str, Job]:

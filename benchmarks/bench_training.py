@@ -19,7 +19,7 @@ from torch import Tensor
 
 from estimators.networks.layer_parameters import DECAY, NEURON_CONSTANTS, THRESHOLD, Weights
 from training.fused import Fused
-from training.models import quantise, quantise_weights
+from training.models import quantise_constant, quantise_weights
 
 from .timing import in_turns, spent
 
@@ -32,13 +32,13 @@ FUSED, NORSE = "fused, quantised", "Norse cells, floats"
 Network = Callable[[Tensor], Tensor]
 
 
-def parameters(seed: int = 0) -> Weights:
+def random_weights(seed: int = 0) -> Weights:
     """Random weights at which both layers spike in a few per cent of the steps."""
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     shapes = ((HIDDEN, 6), (HIDDEN, HIDDEN), (HIDDEN, HIDDEN), (2, HIDDEN))
     scales = (0.12, 0.03, 0.01, 0.1)
     w = [quantise_weights(torch.tensor(rng.normal(0, k, s))) for s, k in zip(shapes, scales, strict=True)]
-    tau = [quantise(torch.tensor(rng.uniform(0.5, 0.98, k)), DECAY) for k in (*[HIDDEN] * 4, 1, 1)]
+    tau = [quantise_constant(torch.tensor(rng.uniform(0.5, 0.98, k)), DECAY) for k in (*[HIDDEN] * 4, 1, 1)]
     return Weights(*(x.float().requires_grad_() for x in (*w, *tau)))
 
 
@@ -48,12 +48,12 @@ def inputs(n: int, steps: int) -> Tensor:
 
 
 def fused(quantised: bool = True) -> Network:
-    weights, kernels = parameters(), Fused(quantised)
+    weights, kernels = random_weights(), Fused(quantised)
     return lambda x: kernels.forward(x, weights)[0]
 
 
 def plain() -> Network:
-    weights = parameters()
+    weights = random_weights()
     return lambda x: forward(x.float(), weights)[0]
 
 
@@ -61,7 +61,7 @@ def norse() -> Network:
     """Norse's cells with dt = 1; it multiplies currents by 1 - τ_mem, which the weights make up for."""
     from norse.torch import LICell, LIFCell, LIFParameters, LIFRecurrentCell, LIParameters
 
-    w = parameters()
+    w = random_weights()
     rate = {name: (1 - getattr(w, name).detach()).requires_grad_() for name in NEURON_CONSTANTS}
     w_in, w_ff, w_rec, w_out = (
         (getattr(w, name) / (1 - getattr(w, mem))[:, None]).detach().requires_grad_()
@@ -98,7 +98,7 @@ EARLY = 2
 """Steps by which Norse's outputs come before ours."""
 
 
-def step(network: Network, x: Tensor) -> None:
+def train_step(network: Network, x: Tensor) -> None:
     """Forward and backward."""
     network(x).square().mean().backward()
 
@@ -132,8 +132,8 @@ def measure(rounds: int = 9) -> pd.DataFrame:
         if not same_outputs(name):
             raise ValueError(f"{name}: its outputs differ from the fused kernel's")
         network = variant()
-        step(network, x)
-        jobs[name] = lambda network=network: spent(lambda: step(network, x))
+        train_step(network, x)
+        jobs[name] = lambda network=network: spent(lambda: train_step(network, x))
     times = in_turns(jobs | {"dense floor": dense_floor}, rounds)
     found = pd.DataFrame({name: np.median(each, axis=0) for name, each in times.items()}, ["wall", "cpu"]).T
     return found.add_suffix("_s").join((found / found.loc[FUSED]).add_suffix("_ratio"))

@@ -39,7 +39,7 @@ SHORT_S = 10.0
 """Length of flights in rate mode [s]."""
 
 
-class Flight(NamedTuple):
+class FirmwareFlights(NamedTuple):
     """What is recorded of n flights, over time (n, T, ·)."""
 
     readings: Readings
@@ -49,9 +49,9 @@ class Flight(NamedTuple):
     crashed: NDArray[np.bool_]  #: (n,)
 
 
-def flown(
+def fly_betaflight(
     scenario: str, first: int, imu: str, mode: str = BETAFLIGHT, n: int = EACH, seconds: float | None = None
-) -> Flight:
+) -> FirmwareFlights:
     """Flights of a scenario on Betaflight, with the numbers `first`, `first` + 1, … of the seed."""
     changes = {"imu": imu} | ({"duration_s": seconds} if seconds else {})
     mission = mission_of(changed(load_scenario(scenario), changes), mode, FlightSettings(n))
@@ -69,10 +69,10 @@ def flown(
     gyro, accel, rotor_vel, truth, estimate, distance = (
         np.stack(each, axis=1) for each in zip(*rows, strict=True)
     )
-    return Flight(Readings(gyro, accel, rotor_vel), truth, estimate, distance, mission.cause > 0)
+    return FirmwareFlights(Readings(gyro, accel, rotor_vel), truth, estimate, distance, mission.cause > 0)
 
 
-def errors_of(flights: Sequence[Flight]) -> pd.DataFrame:
+def flight_errors(flights: Sequence[FirmwareFlights]) -> pd.DataFrame:
     """Mean absolute error of roll and pitch of all flights, by estimator [deg]."""
     made = made_of(OURS, 200.0, vehicle="hummingbird", imu=IMU)
     made[f"mahony, k_P = {GAIN}, k_I = 0"] = create("mahony", k_p=GAIN, k_i=0.0)
@@ -86,20 +86,20 @@ def errors_of(flights: Sequence[Flight]) -> pd.DataFrame:
     return pd.concat(found)
 
 
-def interval(values: pd.Series) -> float:
+def half_interval(values: pd.Series) -> float:
     """Half the 95 % interval of a mean, Student's."""
     return float(student.ppf(0.975, len(values) - 1) * values.sem())
 
 
-def rows_of(both: Sequence[pd.DataFrame]) -> list[Row]:
+def difference_rows(both: Sequence[pd.DataFrame]) -> list[Row]:
     """For each estimator and each IMU the mean error and the difference from Betaflight's."""
     rows = []
     for name in both[0]:
         cells = []
         for errors in both:
             own, behind = errors[name], errors[name] - errors[BETAFLIGHT]
-            difference = "" if name == BETAFLIGHT else f"{behind.mean():+.2f} ± {interval(behind):.2f}"
-            cells += [f"{own.mean():.2f} ± {interval(own):.2f}", difference]
+            difference = "" if name == BETAFLIGHT else f"{behind.mean():+.2f} ± {half_interval(behind):.2f}"
+            cells += [f"{own.mean():.2f} ± {half_interval(own):.2f}", difference]
         rows.append((name, *cells))
     return rows
 
@@ -110,13 +110,13 @@ def sentence(errors: pd.DataFrame) -> str:
     for name in OURS:
         behind = errors[name] - errors[BETAFLIGHT]
         how = "smaller" if behind.mean() < 0 else "larger"
-        if abs(behind.mean()) <= interval(behind):
+        if abs(behind.mean()) <= half_interval(behind):
             how = "not significantly different"
         words[how].append(f"`{name}` ({errors[name].mean():.2f}°)")
     return ", and ".join(f"{how} for {listed(of)}" for how, of in words.items() if of)
 
 
-def flight_row(scenario: str, mode: str, flight: Flight) -> Row:
+def flight_row(scenario: str, mode: str, flight: FirmwareFlights) -> Row:
     """How a scenario was flown."""
     error = attitude_error(flight.estimate, flight.truth).sequences
     crashes = f"{flight.crashed.sum()} of {len(flight.crashed)}"
@@ -130,12 +130,13 @@ def betaflight(part: Part, given: Namespace) -> Values:
     text = (ASSETS / "imus" / f"{IMU}.toml").read_text("utf-8")
     write_whole(CALIBRATED, text.replace("turn_on = 0.0087", "turn_on = 0.0", 1))
     suite, calibrated = (
-        [flown(name, EACH * k, imu) for k, name in enumerate(SCENARIOS)] for imu in (IMU, str(CALIBRATED))
+        [fly_betaflight(name, EACH * k, imu) for k, name in enumerate(SCENARIOS)]
+        for imu in (IMU, str(CALIBRATED))
     )
-    both = [errors_of(suite), errors_of(calibrated)]
-    rate = [flown(name, 0, IMU, "betaflight-rate", n=2, seconds=SHORT_S) for name in RATE_MODE]
+    both = [flight_errors(suite), flight_errors(calibrated)]
+    rate = [fly_betaflight(name, 0, IMU, "betaflight-rate", n=2, seconds=SHORT_S) for name in RATE_MODE]
     own, theirs = (errors[BETAFLIGHT].mean() for errors in both)
-    half = interval(both[0][BETAFLIGHT])
+    half = half_interval(both[0][BETAFLIGHT])
     crashes = sum(each.crashed.sum() for each in suite)
     count = EACH * len(SCENARIOS)
     return {
@@ -147,7 +148,7 @@ def betaflight(part: Part, given: Namespace) -> Values:
         "version": version("betaflight"),
         "flights": str(count),
         "each": str(EACH),
-        "errors": rows_of(both),
+        "errors": difference_rows(both),
         "flown": [
             *(flight_row(name, "angle", each) for name, each in zip(SCENARIOS, suite, strict=True)),
             *(flight_row(name, "rate", each) for name, each in zip(RATE_MODE, rate, strict=True)),

@@ -9,10 +9,10 @@ import pandas as pd
 from errors import on_flights, on_recordings
 from matplotlib.figure import Figure
 from pages import Part, Row, Values, span
-from simulated import Generated, foreign, simulated
+from simulated import Generated, rotorpy_sets, simulated
 
 from estimators import run
-from estimators.analysis.circuit import measure
+from estimators.analysis.circuit import measure_datasets
 from estimators.analysis.raster import spikes_of
 from estimators.circuit.circuit_estimator import Silent, circuit_estimator
 from estimators.circuit.file import CircuitConfig, load_circuit
@@ -68,7 +68,7 @@ SIGNS = ("#0072b2", "#d55e00")
 """Colours of positive and of negative spikes."""
 
 
-def held(p: Parameters, flights: Flights) -> Parameters:
+def held_gates(p: Parameters, flights: Flights) -> Parameters:
     """The circuit whose gates, after their start, stay as open as they are on average."""
     trace, senses = new_trace(p, flights.gyro.shape[1], len(flights.gyro))
     angle, force = (
@@ -88,7 +88,7 @@ def circuits() -> dict[str, tuple[CircuitConfig, Parameters]]:
     }
 
 
-def compared(home: Flights) -> dict[str, AttitudeEstimator]:
+def compared_circuits(home: Flights) -> dict[str, AttitudeEstimator]:
     """What the table compares, in the order of its columns."""
     config, p = load_circuit(NAME)
     first = untrained()._replace(scale=np.array(SCALE))
@@ -96,7 +96,7 @@ def compared(home: Flights) -> dict[str, AttitudeEstimator]:
     return {
         "untrained, floats": circuit_estimator("att-rnn", first),
         "untrained, spikes": spiking(first, 4),
-        "trained, gates fixed": spiking(held(p, home), 4),
+        "trained, gates fixed": spiking(held_gates(p, home), 4),
         FLOATS: circuit_estimator("att-rnn", p),
         SPIKES: spiking(p, config.steps_per_sample),
         **{name: spiking(p, steps) for name, steps in FEWER.items()},
@@ -108,12 +108,12 @@ def compared(home: Flights) -> dict[str, AttitudeEstimator]:
 
 def errors_by_set(given: Namespace) -> dict[str, pd.DataFrame]:
     """Error of each flight or recording of each set, estimators × flights [deg]."""
-    made = compared(load_flights([simulated("train", given.data)], 8))
+    made = compared_circuits(load_flights([simulated("train", given.data)], 8))
     sets = {"Hummingbird": [simulated("test", given.data)]}
     for name, (recipe, changes, seed) in SETS.items():
         path = given.data / f"circuit-{recipe}-{seed}.zarr"
         sets[name] = [Generated(recipe, FLIGHTS, seed, changes, DURATION_S).at(path)]
-    sets["RotorPy"] = foreign(given.data)
+    sets["RotorPy"] = rotorpy_sets(given.data)
     found = {}
     for name, flights in sets.items():
         errors = on_flights(lambda _: made, flights).sequences.droplevel("initial")
@@ -185,7 +185,9 @@ def by_steps(data: Path) -> tuple[list[Row], list[Row]]:
     """What the circuit does on the Hummingbird's test flights, and with fewer steps and spikes per sample."""
     config, p = load_circuit(NAME)
     found = {
-        steps: measure(config.model_copy(update={"steps_per_sample": steps}), p, [data / "test.zarr"])
+        steps: measure_datasets(
+            config.model_copy(update={"steps_per_sample": steps}), p, [data / "test.zarr"]
+        )
         for steps in (4, 2, 1)
     }
     rows = [
@@ -201,7 +203,7 @@ def sizes(data: Path, means: pd.DataFrame) -> list[Row]:
     rows = []
     for name, (config, p) in circuits().items():
         neurons = sum(each.neurons for each in populations(quantised(p, config.steps_per_sample)))
-        spikes = sum(measure(config, p, [data / "test.zarr"]).spikes.values())
+        spikes = sum(measure_datasets(config, p, [data / "test.zarr"]).spikes.values())
         rows.append((name.replace(SPIKES, "seed 1, ships"), neurons, f"{spikes:,.0f}", *means[name]))
     return rows
 

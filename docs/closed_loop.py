@@ -25,7 +25,7 @@ from scenarios.bench.experiment import load_experiment
 from scenarios.bench.recommendation import Recommendation, recommendation, save_recommendation
 from scenarios.bench.results import Results
 from scenarios.bench.runner import bench
-from scenarios.bench.verdict import Verdict, conditions, shown, verdict
+from scenarios.bench.verdict import Verdict, conditions, error_text, verdict
 
 OUT = ROOT / "reports" / "closed-loop"
 AXES, BREAKING = load_experiment("axes"), load_experiment("breaking-points")
@@ -37,7 +37,7 @@ SWEEPS = ("constant wind", "step of the gyro bias", "lost samples")
 BEHIND, TRACKING = "error minus that of rank 1 [°]", "attitude tracking [°]"
 
 
-def fly(
+def fly_experiment(
     folder: str,
     names: Sequence[str],
     experiment: str = "suite",
@@ -97,12 +97,12 @@ def ranges(held_out: HeldOut) -> list[Row]:
 def held_out(part: Part, given: Namespace) -> Values:
     """Fly the held-out suite, whose recommendation is saved, and the axes."""
     drawn = load_held_out(releases()[-1])
-    unseen = verdict(fly("held-out", default_estimators(), "held-out"))
+    unseen = verdict(fly_experiment("held-out", default_estimators(), "held-out"))
     command, today = "quadsim bench --experiment held-out", date.today().isoformat()
     save_recommendation(
         Recommendation(release=drawn.release, command=command, date=today, sentence=unseen.headline)
     )
-    looked_at = fly("axes", default_estimators(), "axes")
+    looked_at = fly_experiment("axes", default_estimators(), "axes")
     judged = verdict(looked_at)  # which repeats the recommendation
     return {
         "release": drawn.release,
@@ -157,7 +157,7 @@ def suite_standings(judged: Verdict, silent: Results) -> pd.DataFrame:
     """The table of the verdict, with error and crashes of a silenced network beside each network."""
     (level,) = silent.totals.values()
     found = standings(judged)
-    text = f"{shown(level.error_deg)}, ✕ {level.crashes}"
+    text = f"{error_text(level.error_deg)}, ✕ {level.crashes}"
     found["silenced network [°]"] = np.where(found["estimator"].isin(NETWORKS), text, "–")
     return found[["estimator", "crashed", "error [°]", "silenced network [°]", BEHIND, TRACKING]]
 
@@ -168,9 +168,9 @@ def suite(part: Part, given: Namespace) -> Values:
     config, tensors = load_network("att-snn-paper")
     save_network(SILENCED, config, silenced(config, tensors))
     names = default_estimators()
-    results = fly("suite", names, seeds=SEEDS)
-    silent = fly("silenced", [str(SILENCED)], seeds=SEEDS)
-    breaking = fly("breaking", names, "breaking-points")
+    results = fly_experiment("suite", names, seeds=SEEDS)
+    silent = fly_experiment("silenced", [str(SILENCED)], seeds=SEEDS)
+    breaking = fly_experiment("breaking", names, "breaking-points")
     judged = verdict(results)
     ranked = [each.estimator for each in judged.standings if each.estimator not in results.unranked]
     part.save(heat_map(results, ranked), "heat-map.png", colours=128)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from closed_loop import beside_crashes, fly
+from closed_loop import beside_crashes, fly_experiment
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from pages import ROOT, Part, Row, Values
@@ -53,9 +53,9 @@ PROFILES = (32, 16)
 COLOURS = ("#000000", "#009e73", "#7a7a7a", "#0072b2")
 
 
-def flown(folder: str, names: Sequence[str], **how: Any) -> pd.DataFrame:
+def flown_metrics(folder: str, names: Sequence[str], **how: Any) -> pd.DataFrame:
     """Crashes and metrics by scenario and contender; numbers of which there is none are NaN."""
-    results = fly(f"control-{folder}", names, seeds=SEEDS, **how)
+    results = fly_experiment(f"control-{folder}", names, seeds=SEEDS, **how)
     rows = pd.DataFrame(results.rows).set_index(["scenario", "estimator"])
     return rows[["attitude_deg", "jitter", "crashes"]].astype(float).fillna({"crashes": 0})
 
@@ -78,7 +78,7 @@ def median_and_range(ratios: pd.Series) -> str:
     return f"{ratios.median(skipna=False):.2f} ({ratios.min():.2f} to {ratios.max():.2f})"
 
 
-def summary(rows: pd.DataFrame) -> list[Row]:
+def merit_rows(rows: pd.DataFrame) -> list[Row]:
     """The figures of merit of each controller."""
     tracking, jitter, crashes = (rows[key].unstack() for key in ("attitude_deg", "jitter", "crashes"))
     nominal, found = tracking.loc[list(NOMINAL)], []
@@ -92,11 +92,11 @@ def summary(rows: pd.DataFrame) -> list[Row]:
     return found
 
 
-def elsewhere() -> pd.DataFrame:
+def other_airframes() -> pd.DataFrame:
     """Tracking on the truth with airframes of another size, and crashes."""
     titles = {title: name for title, name in NAMES.items() if base_of(title) == TEACHER}
     rows = [
-        flown(vehicle, [*titles.values()], scenarios=ABROAD, changes={"vehicle": vehicle}).rename(
+        flown_metrics(vehicle, [*titles.values()], scenarios=ABROAD, changes={"vehicle": vehicle}).rename(
             f"{vehicle}, {{}}".format, level=0
         )
         for vehicle in ELSEWHERE
@@ -145,7 +145,7 @@ def with_profiles() -> list[Row]:
     names = {k: f"truth @ {OUT / f'profiles-{k}.safetensors'}" for k in networks}
     for k, each in networks.items():
         save_network(OUT / f"profiles-{k}.safetensors", config, each)
-    flights = flown("profiles", ["truth", *names.values()], scenarios=NOMINAL)
+    flights = flown_metrics("profiles", ["truth", *names.values()], scenarios=NOMINAL)
     tracking, crashes = flights["attitude_deg"].unstack(), flights["crashes"].unstack().sum()
     rows = []
     for k, name in names.items():
@@ -162,18 +162,18 @@ def with_profiles() -> list[Row]:
 def controllers(part: Part, given: Namespace) -> Values:
     """Fly every contender, and draw their steps."""
     OUT.mkdir(parents=True, exist_ok=True)
-    rows = flown("suite", list(NAMES.values()))
+    rows = flown_metrics("suite", list(NAMES.values()))
     config, tensors = load_network(SPIKING)
     silent = SpikingController(config, silenced(config, tensors))
     left = step_response(lambda *_: silent, None)[:, -1] - STEP_DEG
     return {
         "scenarios": tracking_table(rows, NAMES, "scenario"),
-        "summary": summary(rows),
+        "summary": merit_rows(rows),
         "steps": steps(part),
         "profiles": with_profiles(),
         "silenced": f"{np.abs(left).mean():.0f}",
         "neurons": f"{config.encoding} + {config.hidden}",
-        "elsewhere": elsewhere(),
+        "elsewhere": other_airframes(),
         "flights": str(SEEDS * len(rows) // len(NAMES)),
         "seeds": str(SEEDS),
         "nominal": listed(NOMINAL),

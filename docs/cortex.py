@@ -62,7 +62,7 @@ class Size(NamedTuple):
     stack: int  #: most that one of its functions has on the stack, without those that it calls
 
 
-class Run(NamedTuple):
+class ProgramRun(NamedTuple):
     """What a program did."""
 
     outputs: Array  #: (T, outputs): of a controller the action, of an estimator what it writes
@@ -91,7 +91,7 @@ def build(folder: Path, source: Path, controls: bool, core: Core) -> tuple[Path,
     return program, Size(_sizes(network)["text"], _sizes(probe.with_suffix(".o"))["bss"], max(usage))
 
 
-def run(program: Path, core: Core, samples: Array) -> Run:
+def run_program(program: Path, core: Core, samples: Array) -> ProgramRun:
     """Run a program on the emulated board; an instruction takes a fixed time there, which its timer measures.
 
     Samples are body rate and specific force (T, 6), of a controller with the set-point before them (T, 10).
@@ -105,7 +105,7 @@ def run(program: Path, core: Core, samples: Array) -> Run:
     outputs = np.fromfile(program.parent / "outputs.bin").reshape(MOST, -1)
     ticks = np.fromfile(program.parent / "counts.bin", np.uint32).reshape(MOST, -1)
     instructions = np.rint(ticks * (TICK_NS / 2**ICOUNT_SHIFT)).astype(np.int64)
-    return Run(outputs[: len(samples)], instructions[: len(samples)])
+    return ProgramRun(outputs[: len(samples)], instructions[: len(samples)])
 
 
 def _sizes(binary: Path) -> dict[str, int]:
@@ -160,22 +160,22 @@ def emulated(name: str, gyro: Array, accel: Array) -> Array:
     return np.array(found)
 
 
-def measured(name: str, core: Core, gyro: Array, accel: Array) -> tuple[Size, Run]:
+def measure_on_core(name: str, core: Core, gyro: Array, accel: Array) -> tuple[Size, ProgramRun]:
     """A network on a core."""
     controls, readings = name in shipped_controllers(), [gyro, accel]
     with tempfile.TemporaryDirectory() as folder:
         export_weights(name, Path(folder) / "c", "c99")
         program, size = build(Path(folder) / "build", Path(folder) / "c", controls, core)
-        return size, run(program, core, np.concatenate([set_points()] * controls + readings, axis=1))
+        return size, run_program(program, core, np.concatenate([set_points()] * controls + readings, axis=1))
 
 
-def counts(data: Path) -> Iterator[Row]:
+def instruction_counts(data: Path) -> Iterator[Row]:
     """A row for each network and core."""
     gyro, accel = samples(data)
     for name in networks():
         ours = emulated(name, gyro, accel)
         for core in CORES:
-            size, done = measured(name, core, gyro, accel)
+            size, done = measure_on_core(name, core, gyro, accel)
             claim = f"{name} on {core.name}: outputs that differ from the emulator's"
             wrong = confirmed(claim, int((done.outputs != ours).sum()))
             total = done.instructions.sum(axis=1)
@@ -191,4 +191,4 @@ def microcontrollers(part: Part, given: Namespace) -> Values:
         sys.exit(
             f"{', '.join(missing)}: apt-get install gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm"
         )
-    return {"counts": list(counts(given.data)), "steps": str(STEPS)}
+    return {"counts": list(instruction_counts(given.data)), "steps": str(STEPS)}

@@ -15,7 +15,7 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 from pages import ROOT, Part, Row, Value, Values, number, reduce_colours
-from simulated import DESCRIPTION, PLAN, Generated, foreign, simulated
+from simulated import DESCRIPTION, PLAN, Generated, rotorpy_sets, simulated
 
 from estimators import create
 from estimators.circuit.circuit_estimator import Silent
@@ -68,7 +68,7 @@ def with_silenced(found: pd.Series) -> str:
     return text if np.isnan(found.silenced_deg) else f"{text} (silenced {found.silenced_deg:.2f})"
 
 
-def recorded(folder: Path) -> dict[str, list[xr.Dataset]]:
+def load_recordings(folder: Path) -> dict[str, list[xr.Dataset]]:
     """The recordings of both sets, resampled to 200 Hz.
 
     Raises:
@@ -86,7 +86,7 @@ def on_recordings(made: Made, folder: Path) -> dict[str, LogScores]:
     """Estimators on both sets, from an unknown start."""
     return {
         name: score_logs(logs, made, within_deg=180.0, skip_s=SKIP_S[name])
-        for name, logs in recorded(folder).items()
+        for name, logs in load_recordings(folder).items()
     }
 
 
@@ -138,7 +138,7 @@ COLUMNS = {
 def readme(part: Part, given: Namespace) -> Values:
     """The README's table of errors."""
     test = simulated("test", given.data)
-    flights = {HOME: [test], ROTORPY: foreign(given.data)}
+    flights = {HOME: [test], ROTORPY: rotorpy_sets(given.data)}
     general = made_of([*WITHOUT_DRAG, "imm", "att-snn-loihi", "att-rnn"], RATE_HZ) | package_vqf()
     general[ALONE] = create("att-snn-loihi", RATE_HZ, weights=ALONE)
 
@@ -150,7 +150,7 @@ def readme(part: Part, given: Namespace) -> Values:
     cells = means.map(number)
     cells.loc["best"] = [f"{each.min():.2f} ({each.idxmin()})" for _, each in filters.items()]
     shown = cells.loc[list(ROWS)].rename(ROWS, axis="index").rename(COLUMNS, axis="columns")
-    counts = {name: len(logs) for name, logs in recorded(given.recordings).items()}
+    counts = {name: len(logs) for name, logs in load_recordings(given.recordings).items()}
     return {
         "recommendation": recommendation().sentence,
         "errors": shown.reset_index(names="attitude estimator"),
@@ -209,7 +209,7 @@ def recordings(part: Part, given: Namespace) -> Values:
         "believed": [*rows, *(believed_in_flight(each, given.data) for each in SIMULATED)],
         "vqf": ", ".join(f"{key} {value:g}" for key, value in VQF_DEFAULTS.items()),
     }
-    for name, logs in recorded(given.recordings).items():
+    for name, logs in load_recordings(given.recordings).items():
         values |= {
             FOLDERS[name]: [
                 (each, *(scores[name].mean(each, kind) for kind in (RAW, SILENCED, KNOWN)))
@@ -242,7 +242,9 @@ def paper(part: Part, given: Namespace) -> Values:
         for title, (model, stage) in NETWORKS.items()
     }
     made |= {name: create(name, RATE_HZ, tuning=parts / f"tune-{name}" / TUNING) for name in FILTERS}
-    found = mean_errors(lambda _: made, {ROTORPY: foreign(given.data)}, given.recordings).loc[[*made, LEVEL]]
+    found = mean_errors(lambda _: made, {ROTORPY: rotorpy_sets(given.data)}, given.recordings).loc[
+        [*made, LEVEL]
+    ]
     return {
         "page": part.path.read_text("utf-8").rstrip("\n"),
         "rotorpy": DESCRIPTION,

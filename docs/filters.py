@@ -8,7 +8,7 @@ import pandas as pd
 import xarray as xr
 from errors import on_flights, with_silenced
 from pages import Part, Row, Values, span
-from simulated import DURATION_S, PLAN, PLANS, ROTORPY_S, SETS, foreign, simulated
+from simulated import DURATION_S, PLAN, PLANS, ROTORPY_S, SETS, rotorpy_sets, simulated
 
 from estimators import create, names
 from estimators.evaluation.comparison import Evaluation, behind_the_best, evaluate
@@ -49,7 +49,7 @@ SPOILT_AT_S, RECOVERED_S = 20.0, 10.0
 """When that is, and how much later the estimate is compared with that of the undisturbed readings [s]."""
 
 
-def made(domain: str, vehicle: Vehicle | None) -> dict[str, AttitudeEstimator]:
+def tuned_estimators(domain: str, vehicle: Vehicle | None) -> dict[str, AttitudeEstimator]:
     """All estimators, filters with the parameters of a domain."""
     return {
         name: create(name, tuning=tuning_of(name, domain), vehicle=vehicle)
@@ -58,20 +58,23 @@ def made(domain: str, vehicle: Vehicle | None) -> dict[str, AttitudeEstimator]:
     }
 
 
-def compared(part: Part, domain: str, dataset: xr.Dataset) -> Evaluation:
+def evaluated(part: Part, domain: str, dataset: xr.Dataset) -> Evaluation:
     """All estimators on the domain's test flights; draws the figures."""
-    done = evaluate(dataset, made(domain, vehicle_of(dataset)), slow_flights=SLOW_FLIGHTS)
+    done = evaluate(dataset, tuned_estimators(domain, vehicle_of(dataset)), slow_flights=SLOW_FLIGHTS)
     for name, figure in {"violins": violins(done), "convergence": settling(done)}.items():
         part.save(figure, f"filters-{name}-{domain}.png", dpi=110)
     return done
 
 
-def results(done: Evaluation, domain: str, data: Path) -> list[Row]:
+def result_rows(done: Evaluation, domain: str, data: Path) -> list[Row]:
     """The table, unknown starts first, best first; beside it RotorPy's flights with the domain's IMU."""
     imu, starts = SETS[DOMAINS[domain]].config().imu, ("unknown", "known")
     slow = SLOW_FLIGHTS // len(PLANS)
     abroad = on_flights(
-        lambda each: made(domain, each), foreign(data, imu), initial=starts, slow_flights=slow
+        lambda each: tuned_estimators(domain, each),
+        rotorpy_sets(data, imu),
+        initial=starts,
+        slow_flights=slow,
     )
     rows = []
     for each in sorted(done.rows, key=lambda each: (each.initial != "unknown", each.mean_deg)):
@@ -84,10 +87,10 @@ def results(done: Evaluation, domain: str, data: Path) -> list[Row]:
     return rows
 
 
-def elsewhere(data: Path) -> list[Row]:
+def other_flights(data: Path) -> list[Row]:
     """Errors on other kinds of flight, started in motion, with the drag right, wrong and absent."""
     sets = [(what, domain, simulated(name, data)) for name, (what, domain) in ELSEWHERE.items()]
-    for airframe, dataset in zip(PLANS, foreign(data), strict=True):
+    for airframe, dataset in zip(PLANS, rotorpy_sets(data), strict=True):
         for wind, what in ROTORPY_WINDS.items():
             chosen = dataset.isel(flight=np.flatnonzero(dataset["wind_model"] == wind))
             sets.append((f"RotorPy's {airframe}, {what}", next(iter(DOMAINS)), chosen))
@@ -111,7 +114,7 @@ def spoilt(dataset: xr.Dataset, domain: str) -> pd.DataFrame:
     second = round(flights.rate_hz)
     clean = flights.gyro[:, :end], flights.accel[:, :end]
     rows = []
-    for name, est in made(domain, vehicle).items():
+    for name, est in tuned_estimators(domain, vehicle).items():
         if name in FILTERPY:
             continue
         wanted, row = run_quietly(est, Readings(*clean)), {"estimator": name}
@@ -129,12 +132,12 @@ def spoilt(dataset: xr.Dataset, domain: str) -> pd.DataFrame:
 
 def filters(part: Part, given: Namespace) -> Values:
     """Measure everything, and draw."""
-    tables = {"elsewhere": elsewhere(given.data)}
+    tables = {"elsewhere": other_flights(given.data)}
     sets = {domain: simulated(name, given.data) for domain, name in DOMAINS.items()}
     for domain, dataset in sets.items():
-        done = compared(part, domain, dataset)
+        done = evaluated(part, domain, dataset)
         tables |= {
-            f"results:{domain}": results(done, domain, given.data),
+            f"results:{domain}": result_rows(done, domain, given.data),
             f"spoilt:{domain}": spoilt(dataset, domain),
         }
     return tables | {

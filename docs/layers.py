@@ -7,13 +7,13 @@ import numpy as np
 import pandas as pd
 from errors import on_flights, with_silenced
 from pages import Part, Row, Values, confirmed, span
-from simulated import PLAN, foreign, simulated
+from simulated import PLAN, rotorpy_sets, simulated
 
 from estimators import create, run
 from estimators.analysis.ablation import error_deg
 from estimators.analysis.activity import record
 from estimators.analysis.energy import HOST_PICOJOULES, PAPER_MEASURED, costs, counts, host_operations
-from estimators.analysis.latency import contenders, measure
+from estimators.analysis.latency import timed_estimators, update_times
 from estimators.circuit.file import is_circuit
 from estimators.evaluation.comparison import made_of
 from estimators.evaluation.flights import Flights, load_flights
@@ -22,7 +22,13 @@ from estimators.metrics import Summary, attitude_error
 from estimators.networks.decay_profiles import share_profiles
 from estimators.networks.forward import OnLoihi, real_weights
 from estimators.networks.network import NetworkEstimator, Spiking, silenced
-from estimators.networks.weights_file import NetworkConfig, Tensors, load_network, parameters, shipped_names
+from estimators.networks.weights_file import (
+    NetworkConfig,
+    Tensors,
+    load_network,
+    parameter_count,
+    shipped_names,
+)
 from training.config import make_config
 from training.optim import LOOKAHEAD_ALPHA, LOOKAHEAD_K
 
@@ -62,7 +68,7 @@ def network_errors(data: Path) -> list[Row]:
     """Errors of the shipped networks from an unknown start, at home and in RotorPy, silenced beside them."""
     made = made_of(["att-snn", "att-rnn", *layered()], 200.0)
     home = on_flights(lambda _: made, [simulated("test", data)]).droplevel("initial")
-    abroad = on_flights(lambda _: made, foreign(data)).droplevel("initial")
+    abroad = on_flights(lambda _: made, rotorpy_sets(data)).droplevel("initial")
     ends = {name: span(*Summary(home.sequences[name]).mean_interval()) for name in made}
     return [
         (f"`{name}`", each.mean_deg, ends[name], each.silenced_deg, with_silenced(abroad.loc[name]))
@@ -86,7 +92,7 @@ def sizes(flights: Flights) -> list[Row]:
         spent = "–" if seconds is None else f"{seconds / 3600:.1f}"
         neurons = f"{config.encoding} + {config.hidden}"
         flown = training["training_flights"], updates, f"{hours:.0f}", spent
-        rows.append((name, neurons, parameters(tensors), *flown, *rates))
+        rows.append((name, neurons, parameter_count(tensors), *flown, *rates))
     return rows
 
 
@@ -108,7 +114,7 @@ def errors_and_training(part: Part, given: Namespace) -> Values:
         "gyro": f"{config.inputs.gyro:g}",
         "accel": ", ".join(f"{each:g}" for each in config.inputs.accel),
         "offset": ", ".join(f"{each:g}" for each in config.inputs.accel_offset),
-        "parameters": str(parameters(tensors)),
+        "parameters": str(parameter_count(tensors)),
         "lookahead": f"{LOOKAHEAD_K}, {LOOKAHEAD_ALPHA:g}",
         **{key: f"{getattr(recipe, key):g}" for key in RECIPE},
     }
@@ -139,7 +145,7 @@ def by_profiles(config: NetworkConfig, tensors: Tensors, flights: Flights) -> li
 
 def latency() -> list[Row]:
     """Latency of every estimator, in turns, the shortest first."""
-    taken = measure(contenders(), LATENCY_ROUNDS)
+    taken = update_times(timed_estimators(), LATENCY_ROUNDS)
     chip = float(np.median(taken["att-snn-loihi"]))
     found = sorted((*np.percentile(each, [50, 99]), name) for name, each in taken.items())
     return [(name, middle, high, middle / chip) for middle, high, name in found]

@@ -75,6 +75,6 @@ DESCRIPTION = (
 
 
 @cache
-def foreign(data: Path, imu: ImuSpec = ADIS16448) -> list[xr.Dataset]:
+def rotorpy_sets(data: Path, imu: ImuSpec = ADIS16448) -> list[xr.Dataset]:
     """RotorPy's flights, a dataset for each of `PLANS`; they are stored in the folder of the datasets."""
     return [rotorpy_flights(plans, data / "rotorpy", imu) for plans in PLANS.values()]

@@ -14,12 +14,12 @@ from quadsim.dataset.figures import plot
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
 from quadsim.flight.recipe import load_recipe
-from quadsim.identify import Flight, Identified, flights_of, identify
+from quadsim.identify import Flight, Identified, identify, signals_of
 from quadsim.identify.fit_report import draw_fit
 from quadsim.identify.model import UNITS, constant, with_constants
 from quadsim.imu.spec import ImuSpec, Sensor, load_imu
 from quadsim.imu.stream import simulate_imu
-from quadsim.logs.allan import calibrate, draw, model_variance
+from quadsim.logs.allan import calibrate, draw_allan, model_variance
 from quadsim.logs.recording import Recording
 from quadsim.plant import Plant
 from quadsim.rotation import quat_conjugate, quat_multiply
@@ -132,13 +132,13 @@ def identified(airframe: str, data: Path) -> Identified:
         changes = {"vehicle": true, "trajectory": load_recipe(name).trajectory}
         recipe, path = load_recipe("hummingbird"), data / f"identify-{airframe}-{name}.zarr"
         generate(recipe.model_copy(update=changes), FLIGHTS, DURATION_S, path, seed=SEED + k)
-        flights += flights_of(open_dataset(path))
+        flights += signals_of(open_dataset(path))
     rng = np.random.default_rng(SEED)
     wrong = {name: constant(true, name) * float(rng.choice(GUESSES)) for name in UNITS}
     return identify(flights, with_constants(true, wrong))
 
 
-def constants(found: dict[str, Identified]) -> list[Row]:
+def identified_constants(found: dict[str, Identified]) -> list[Row]:
     """Error of each constant and its 95 % interval, for each airframe."""
 
     def cell(airframe: str, name: str) -> str:
@@ -160,7 +160,7 @@ def calibration(part: Part) -> list[Row]:
         gyro, accel = simulate_imu(imu, np.zeros_like(force), force, RATE_HZ, seed=1)
         found = calibrate(Recording(preset, "", np.arange(HOUR) / RATE_HZ, gyro[0], accel[0]))
         if preset == IMUS[0]:
-            part.save(draw(found), "calibration.png", dpi=100, colours=48)
+            part.save(draw_allan(found), "calibration.png", dpi=100, colours=48)
         for name, mine, true in (("gyro", found.gyro, imu.gyro), ("accel", found.accel, imu.accel)):
             tau = mine.time_constant / (true.time_constant or np.nan)
             ratio = mine.random_walk / true.random_walk
@@ -176,7 +176,7 @@ def identification(part: Part, given: Namespace) -> Values:
     least = min(result.explained.min() for result in found.values())
     return {
         "calibration": calibration(part),
-        "constants": constants(found),
+        "constants": identified_constants(found),
         "explained": f"{100 * least:.1f} %",
         "flights": str(FLIGHTS),
         "duration": f"{DURATION_S:g}",

@@ -86,7 +86,7 @@ ROWS = 5
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the generated pages, and those from the repository's root."""
-    pages = {"reference/cli.md": command_line(), "reference/toml.md": toml_files()}
+    pages = {"reference/cli.md": verb_reference(), "reference/toml.md": toml_files()}
     for name in ("CHANGELOG", "CONTRIBUTING"):
         pages[f"{name.lower()}.md"] = (ROOT / f"{name}.md").read_text("utf-8").replace("](docs/", "](")
     for each in files:
@@ -104,7 +104,7 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
         title, _, rest = markdown.partition("\n")
         link = f"{Path(page.file.src_uri).stem}.ipynb"
         markdown = f'{title}\n\n[This page as a notebook]({link}){{ download="{link}" }}\n{rest}'
-    return STAMP.sub("", markdown.replace("<!-- results -->", results()))
+    return STAMP.sub("", markdown.replace("<!-- results -->", readme_rows()))
 
 
 def has_notebook(file: File) -> bool:
@@ -131,7 +131,7 @@ def notebook(tutorial: str) -> str:
     return jupytext.writes(made, "ipynb")
 
 
-def results() -> str:
+def readme_rows() -> str:
     """First rows of the README's table of errors, which docs/errors.py makes."""
     lines = (ROOT / "README.md").read_text("utf-8").splitlines()
     head = next(k for k, line in enumerate(lines) if line.startswith("| attitude estimator"))
@@ -140,7 +140,7 @@ def results() -> str:
     return "\n".join([*lines[head : head + 2], *wanted[:ROWS]])
 
 
-def command_line() -> str:
+def verb_reference() -> str:
     """Every verb with its options."""
     command = typer.main.get_command(app)
     with typer.Context(command, info_name="quadsim") as context:

@@ -32,7 +32,7 @@ ImuLike = str | Path | ImuSpec | None
 
 
 @dataclass(frozen=True)
-class Entry:
+class RegistryEntry:
     """A table of `assets/estimators.toml`."""
 
     description: str
@@ -42,8 +42,10 @@ class Entry:
     parameters: Mapping[str, Parameter]
 
 
-def _entry(description: str, made_by: str = "", parameters: Mapping[str, Any] | None = None) -> Entry:
-    return Entry(description, made_by, {key: Parameter(**each) for key, each in (parameters or {}).items()})
+def _entry(description: str, made_by: str = "", parameters: Mapping[str, Any] | None = None) -> RegistryEntry:
+    return RegistryEntry(
+        description, made_by, {key: Parameter(**each) for key, each in (parameters or {}).items()}
+    )
 
 
 _TABLES = tomllib.loads((ASSETS / "estimators.toml").read_text("utf-8"))
@@ -235,7 +237,7 @@ def airframe_constants(name: str, vehicle: Vehicle | None) -> dict[str, float]:
     return drag_of(vehicle)
 
 
-def _shipped(name: str) -> Entry:
+def _shipped(name: str) -> RegistryEntry:
     if name not in SHIPPED:
         known = dict.fromkeys([*names(), *shipped_names()])
         raise ValueError(f'unknown estimator "{name}"; {nearest(name, known)}')

@@ -104,7 +104,9 @@ def _stages(s: Sizes, seed: int) -> Iterator[Stage]:
 
     swarm = {"particles": s["particles"], "iterations": s["iterations"], "seed": seed}
     tuned = {
-        name: Stage(f"tune-{name}", filters.tune, {"name": name, "flights": domain} | swarm, packages=OURS)
+        name: Stage(
+            f"tune-{name}", filters.tune_filter, {"name": name, "flights": domain} | swarm, packages=OURS
+        )
         for name in FILTERS
     }
     long, short = PAPER | s["snn"], PAPER | s["fold"]
@@ -119,11 +121,11 @@ def _stages(s: Sizes, seed: int) -> Iterator[Stage]:
     every = {"filters": tuned, "networks": looped | {"att-rnn": ("att-rnn", rnn)}, "seed": seed}
     loop = {"seeds": s["loop_seeds"], "duration_s": s["loop_s"], "seed": seed, "networks": looped}
     loop |= {"filters": {name: tuned[name] for name in IN_LOOP}}
-    yield _ours("score-folds", scores.folds, domains=domain, mixed=[snn, *folds], only=only)
+    yield _ours("score-folds", scores.score_folds, domains=domain, mixed=[snn, *folds], only=only)
     for each in (*domain, *test):
         yield _ours(f"score-{each.name}", scores.score, flights=each, **every)
     yield _ours("recover", scores.recover, flying=test, hover=hover, **every)
-    yield _ours("inside", inside.look, flights=test[0], network=chip, twin=rnn)
+    yield _ours("inside", inside.inspect_network, flights=test[0], network=chip, twin=rnn)
     yield _ours("manipulate", inside.manipulate, cruise=cruise, test=test[0], networks=[snn, chip])
     yield Stage("latencies", scores.latencies, {"rounds": s["latency_rounds"]}, alone=True, packages=OURS)
     yield Stage("loop", scores.close_loop, loop, packages=(*OURS, "scenarios"))
@@ -149,13 +151,15 @@ def _stages(s: Sizes, seed: int) -> Iterator[Stage]:
 
 def _fly(name: str, flights: int, duration_s: float, seed: int, domain: str = "sim", **more: Any) -> Stage:
     settings = {"domain": domain, "flights": flights, "duration_s": duration_s, "seed": seed}
-    return Stage(f"fly-{name}", domains.fly, settings | more)
+    return Stage(f"fly-{name}", domains.generate_flights, settings | more)
 
 
 def _train(
     name: str, data: Sequence[Stage], seed: int, recipe: dict[str, Any], validation: Sequence[Stage] = ()
 ) -> Stage:
-    return Stage(name, trainings.train, {"data": data, "validation": validation, "seed": seed} | recipe)
+    return Stage(
+        name, trainings.train_network, {"data": data, "validation": validation, "seed": seed} | recipe
+    )
 
 
 def _ours(name: str, make: Any, **arguments: Any) -> Stage:

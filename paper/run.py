@@ -14,7 +14,7 @@ from quadsim.dataset.figures import STYLE
 from quadsim.runs.files import save_figure, write_whole
 
 from .page import tables
-from .page.claims import CLAIMS, Judgement, judge, operations
+from .page.claims import CLAIMS, Judgement, judge_claims, operations
 from .page.paper_figures import FIGURES
 from .plan import Sizes, chosen, sizes_of, stages_of
 from .stages import NUMBERS, Progress, run_stages, with_inputs
@@ -97,7 +97,7 @@ def write_results(parts: Path, folder: Path, sizes: Sizes) -> list[Judgement]:
     numbers = {name: json.loads(file.read_text("utf-8")) for name, file in files.items() if file.exists()}
     shown = [item for item, names in shows.items() if numbers.keys() >= set(names)]
     numbers = {name: numbers[name] for item in shown for name in shows[item]}
-    judged = judge(numbers, judges=sizes["preset"] == "full")
+    judged = judge_claims(numbers, judges=sizes["preset"] == "full")
     with matplotlib.rc_context(STYLE):
         for item in FIGURES.keys() & shown:
             save_figure(folder / "img" / f"paper-{item}.png", FIGURES[item](numbers), dpi=130)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from .config.ranges import ENGINES, SAMPLE_RATE, Engine
 from .estimator import broadcast
 from .motion.engine import MujocoEngine, vehicle_model
-from .motion.free_body import advance
+from .motion.free_body import advance_body
 from .motion.rotors import aerodynamic_wrench, angular_acceleration, lag, vehicle_records
 from .rotation import euler_core, rotate_inverse_core
 from .runs.compiled import njit
@@ -94,13 +94,13 @@ def update_truth(p):
 
 
 @njit(cache=True)
-def fly(p, substeps):
+def move_freely(p, substeps):
     """Move one vehicle in free flight by a sample, without updating its specific force."""
     for i in range(substeps):
         if i:
             update_truth(p)
         actuate(p)
-        advance(p)
+        advance_body(p)
 
 
 @njit(cache=True)
@@ -119,9 +119,9 @@ def update_truth_all(vehicles):
 
 @njit(cache=True)
 def fly_all(vehicles, substeps):
-    """Run `fly` for all vehicles (n,)."""
+    """Run `move_freely` for all vehicles (n,)."""
     for i in range(vehicles.shape[0]):
-        fly(vehicles[i], substeps)
+        move_freely(vehicles[i], substeps)
 
 
 class Plant:
@@ -130,7 +130,7 @@ class Plant:
     `position`, `velocity`, `quat`, `ang_vel`, `rotor_vel`, `specific_force` and `ang_acc` are views of the
     current state, all at the same instant; `step` returns copies. `rotor_effect` (n, rotors) scales the
     thrust of each rotor and can be changed at any time. `set_mass` changes masses in flight. `vehicles` are
-    the records for `fly` and `update_truth`.
+    the records for `move_freely` and `update_truth`.
 
     Args:
         vehicle: One vehicle for all, or a sequence of n vehicles with the same number of rotors.

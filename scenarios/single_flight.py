@@ -19,7 +19,7 @@ from quadsim.runs.files import write_csv
 from quadsim.runs.fingerprint import content_digest
 
 from .bench.cell import FlightSettings, make_cell, mission_of
-from .bench.flight_log import Flown, fly
+from .bench.flight_log import Flown, fly_mission
 from .bench.flight_series import decimation
 from .bench.results import Results
 from .bench.runner import NO_CHANGES, Changes
@@ -80,7 +80,7 @@ def fly_scenario(
     """
     scenario, name = changed(load_scenario(source), changes), Path(source).name.removesuffix(".toml")
     mission = mission_of(scenario, estimator, settings)
-    flown = fly(mission, settings.seed, flight, every_sample=show is not None)
+    flown = fly_mission(mission, settings.seed, flight, every_sample=show is not None)
     if show is not None:
         show(timeline_of(flown, mission, estimator))
         every = decimation(mission.rate_hz)

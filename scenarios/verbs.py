@@ -19,11 +19,11 @@ from .bench.runner import Changes, bench
 from .bench.verdict import verdict
 from .compilation import compile_estimators
 from .report.evaluation import columns, evaluation_notes, recorded_section
-from .report.leaderboard import find_entries, flights_of, standing, write_leaderboard
+from .report.leaderboard import closed_loop_flights, find_entries, standing, write_leaderboard
 from .report.page import publish, write_report
 from .report.terminal import breaking_table, rows_table, standings_table
 from .task.entry import FILE
-from .task.run import run_task
+from .task.run_task import run_task
 from .task.specification import load_task
 
 DEMO = ("hover", "step", "wind-gust", "initial-tilt")
@@ -108,7 +108,7 @@ def report_entries(folders: Sequence[Path], out: Path) -> None:
     leaders = []
     for track in sorted({each.card.track for each in entries}):
         own = [each for each in entries if each.card.track == track]
-        match standing(own, flights_of(own)):
+        match standing(own, closed_loop_flights(own)):
             case []:
                 leaders.append(f"{track}: no entry is ranked")
             case [only]:

@@ -108,7 +108,7 @@ def _read(path: Path) -> TrainingFlights:
     return TrainingFlights(*measured, up=up.astype(np.float32), rate_hz=rate_hz, vehicles=vehicles)
 
 
-def flights_of(config: TrainConfig) -> tuple[TrainingFlights, TrainingFlights, TrainingFlights]:
+def split_flights(config: TrainConfig) -> tuple[TrainingFlights, TrainingFlights, TrainingFlights]:
     """Return the flights for training, validation and testing; with `validation`, no test flights.
 
     Raises:
@@ -123,7 +123,7 @@ def flights_of(config: TrainConfig) -> tuple[TrainingFlights, TrainingFlights, T
             f"windows of {steps} samples, but the flights have {available}: give a smaller window_s"
         )
     if not config.validation:
-        train, choose, test = map(flights.select, split(len(flights), config.seed))
+        train, choose, test = map(flights.select, split_ids(len(flights), config.seed))
         return train, choose, test
     validation, rate = load_training_flights(config.validation), flights.rate_hz
     if validation.rate_hz != rate:
@@ -131,7 +131,7 @@ def flights_of(config: TrainConfig) -> tuple[TrainingFlights, TrainingFlights, T
     return flights, validation, flights.select([])
 
 
-def split(flights: int, seed: int) -> list[NDArray]:
+def split_ids(flights: int, seed: int) -> list[NDArray]:
     """Draw 70 % training, 20 % validation and 10 % test flights without replacement, at least one each.
 
     Raises:
@@ -169,7 +169,7 @@ Draw = Callable[[int, int, np.random.Generator], tuple[NDArray, ...]]
 length, ·)."""
 
 
-def windows(
+def attitude_windows(
     flights: TrainingFlights, config: TrainConfig, steps: int, seed: Sequence[int]
 ) -> Iterator[Batch]:
     """Return the windows of an epoch; see `windows_of`.
@@ -253,7 +253,7 @@ class AttitudeTask:
 
     def __init__(self, config: TrainConfig) -> None:
         self.config = config
-        self.flights, self.validation, _ = flights_of(config)
+        self.flights, self.validation, _ = split_flights(config)
         self.rate_hz = self.flights.rate_hz
 
     def contents(self) -> dict[str, str]:
@@ -271,7 +271,7 @@ class AttitudeTask:
     def windows(self, epoch: int, student: Any) -> Iterator[Batch]:
         """Return the windows of an epoch, counted from 0; the student is not used."""
         steps = self.config.steps(self.rate_hz)
-        return windows(self.flights, self.config, steps, (self.config.seed, 1, epoch))
+        return attitude_windows(self.flights, self.config, steps, (self.config.seed, 1, epoch))
 
     def validate(self, network: NetworkConfig, tensors: Tensors) -> dict[str, float]:
         """Return errors over complete validation flights from an unknown start.

@@ -31,7 +31,7 @@ from .config import CircuitRun, TrainConfig, make_config
 from .data import AttitudeTask, Batch, network_inputs
 from .models import AttSNN
 from .optim import error_loss, finished, learning_rate, new_optimiser, total_cost
-from .run_folder import Epoch, claim, plot
+from .run_folder import Epoch, claim, plot_history
 
 if TYPE_CHECKING:
     from .circuit.train import CircuitLearner
@@ -96,10 +96,10 @@ def train(
         ValueError: A choice or a dataset is invalid, or `out` contains another run.
         FileNotFoundError: A dataset or a weights file does not exist.
     """
-    return run(make_config(preset, model=model, data=data, **choices), Path(out), progress)
+    return train_epochs(make_config(preset, model=model, data=data, **choices), Path(out), progress)
 
 
-def run(
+def train_epochs(
     config: Config,
     out: Path,
     progress: Progress | None = None,
@@ -123,7 +123,7 @@ def run(
             torch.set_num_threads(threads)
         if not history:
             raise ValueError(f"{out}: stopped before the first epoch was over ({reason}), nothing to save")
-        plot(out, history)
+        plot_history(out, history)
         return Result(out / "best.safetensors", _best(config, history), reason)
 
 

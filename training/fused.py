@@ -12,7 +12,7 @@ from estimators.networks.encoder import INPUT_ONE
 from estimators.networks.forward import packed
 from estimators.networks.layer_parameters import Weights
 
-from .window_kernels import Floats, Trace, backward_window, forward_window, new_gradients, of_weights
+from .window_kernels import Floats, ForwardTrace, backward_window, forward_window, new_gradients, of_weights
 
 
 class Fused:
@@ -45,7 +45,7 @@ class Fused:
         n, steps, _ = x.shape
         if self.shape != (n, steps):
             self.shape, self.sizes = (n, steps), (len(weights.w_in), len(weights.w_ff), len(weights.w_out))
-            self.trace = Trace.empty(steps, n, self.sizes, weights.w_ff.detach().numpy().dtype)
+            self.trace = ForwardTrace.empty(steps, n, self.sizes, weights.w_ff.detach().numpy().dtype)
         self.trace.begin(np.ones(n, bool) if reset is None else reset)
         return _Window.apply(self, x, *weights)  # pyright: ignore[reportReturnType]
 

@@ -18,7 +18,7 @@ from estimators.networks.layer_parameters import (
     Kind,
     Weights,
 )
-from estimators.networks.weights_file import NetworkConfig, Tensors, expected_shapes
+from estimators.networks.weights_file import NetworkConfig, Tensors, tensor_shapes
 
 from .config import TrainConfig
 from .fused import Fused
@@ -50,7 +50,7 @@ def quantise_weights(w: Tensor, finest: int = 0) -> Tensor:
     return _straight(w, torch.clamp(torch.round(w / step), -128, 127) * step)
 
 
-def quantise(value: Tensor, kind: Kind) -> Tensor:
+def quantise_constant(value: Tensor, kind: Kind) -> Tensor:
     """Round a neuron's constant to the nearest value on the chip, with a straight-through gradient."""
     return _straight(value, kind.real(torch.clamp(torch.round(kind.whole(value)), kind.low, kind.high)))
 
@@ -94,7 +94,7 @@ class AttSNN(nn.Module):
         self.finest = config.finest_exponent
         self.kernels = Fused(config.quantised, config.recurrent_delay)
         self.output_scale = self.network.output_scale
-        for name, shape in expected_shapes(self.network).items():
+        for name, shape in tensor_shapes(self.network).items():
             self.register_parameter(name, nn.Parameter(torch.zeros(shape)))
         for name in MATRICES:  # a step of the optimiser is relative to these
             self.register_buffer(f"{name}_scale", torch.ones(getattr(self, name).shape[0], 1))
@@ -138,7 +138,9 @@ class AttSNN(nn.Module):
         if self.kernels.quantised:
             finest = dict.fromkeys(EXPONENTS, self.finest)
             w = {name: quantise_weights(value, finest.get(name, 0)) for name, value in w.items()}
-            constants = {name: quantise(value, PARAMETERS[name].kind) for name, value in constants.items()}
+            constants = {
+                name: quantise_constant(value, PARAMETERS[name].kind) for name, value in constants.items()
+            }
         return Weights(**w, **constants)
 
     def forward(self, x: Tensor, reset: NDArray[np.bool_] | None = None) -> tuple[Tensor, Tensor]:

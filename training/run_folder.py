@@ -115,7 +115,7 @@ def tensorboard_events(out: Path) -> Iterator[Callable[[Epoch], None]]:
         yield write
 
 
-def plot(out: Path, history: list[Epoch]) -> None:
+def plot_history(out: Path, history: list[Epoch]) -> None:
     """Draw training loss and score over the epochs, as in the paper's Fig. 4."""
     from matplotlib.figure import Figure
 

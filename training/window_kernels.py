@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.loihi.neurons import NeuronState, list_spikes, neurons_of, step
-from estimators.networks.forward import advance
+from estimators.loihi.neurons import NeuronState, list_spikes, neurons_of, step_network
+from estimators.networks.forward import advance_encoders
 from estimators.networks.layer_parameters import THRESHOLD, Weights
 from estimators.spiking import SURROGATE_WIDTH
 from quadsim.runs.compiled import njit
@@ -20,7 +20,7 @@ from quadsim.runs.compiled import njit
 Floats = NDArray[np.floating]
 
 
-class Trace(NamedTuple):
+class ForwardTrace(NamedTuple):
     """Trace of the forward pass for the backward pass, time first, in units of 1.0.
 
     The neurons are in the order encoding (h0), hidden (h1), outputs. Rows 0 and 1 come before the window.
@@ -31,7 +31,7 @@ class Trace(NamedTuple):
     spikes: NDArray[np.uint16]  #: `list_spikes` of both layers, rows as of v, shape (T + 2, n, h0 + h1 + 2)
 
     @classmethod
-    def empty(cls, steps: int, n: int, sizes: tuple[int, int, int], dtype: np.dtype) -> Trace:
+    def empty(cls, steps: int, n: int, sizes: tuple[int, int, int], dtype: np.dtype) -> ForwardTrace:
         """Return buffers for one window of a network with these layers."""
         u, v = np.zeros((steps + 1, n, sum(sizes)), dtype), np.zeros((steps + 2, n, sum(sizes)), dtype)
         spikes = np.zeros((steps + 2, n, sizes[0] + sizes[1] + 2), np.uint16)
@@ -72,9 +72,9 @@ def forward_window(x, encoders, table, weights, sums, one, trace):
         _copy(trace.v[1, b, h0:], one, v[b])
     for t in range(x.shape[0]):
         for b in range(n):
-            advance(x[t, b], encoders, current[b], bias, total)
+            advance_encoders(x[t, b], encoders, current[b], bias, total)
             state = NeuronState(first_v[b], u[b], v[b])
-            step(neurons, bias, state, trace.spikes[t + 1, b], trace.spikes[t, b], sums)
+            step_network(neurons, bias, state, trace.spikes[t + 1, b], trace.spikes[t, b], sums)
             list_spikes(neurons, first_v[b], v[b], trace.spikes[t + 2, b])
             _copy(current[b], unit, trace.u[t + 1, b, :h0])
             _copy(u[b], unit, trace.u[t + 1, b, h0:])

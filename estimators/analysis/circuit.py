@@ -44,12 +44,12 @@ class Measured:
         ]
 
 
-def measure(config: CircuitConfig, p: Parameters, data: Sequence[str | Path]) -> Measured:
+def measure_datasets(config: CircuitConfig, p: Parameters, data: Sequence[str | Path]) -> Measured:
     """Run a spiking circuit on the flights of datasets."""
-    return measured(config, p, load_flights([open_dataset(path) for path in data]))
+    return measure_circuit(config, p, load_flights([open_dataset(path) for path in data]))
 
 
-def measured(config: CircuitConfig, p: Parameters, flights: Flights) -> Measured:
+def measure_circuit(config: CircuitConfig, p: Parameters, flights: Flights) -> Measured:
     """Run a spiking circuit on flights."""
     estimator = circuit_estimator("att-snn", p, config.steps_per_sample, flights.rate_hz)
     estimator.reset(len(flights.gyro))

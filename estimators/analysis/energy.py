@@ -51,7 +51,7 @@ def host_operations(config: NetworkConfig) -> dict[str, int]:
 
 
 @dataclass(frozen=True)
-class Cost:
+class EnergyTerm:
     """One line of the energy model."""
 
     operation: str
@@ -102,15 +102,16 @@ def synapses(cores: Sequence[ChipCore], neurons: int) -> NDArray[np.int64]:
     return np.stack([core.synapses.sum(0)[-neurons:] for core in cores], axis=1)
 
 
-def costs(counted: dict[str, float]) -> list[Cost]:
+def costs(counted: dict[str, float]) -> list[EnergyTerm]:
     """Return the lines of the energy model."""
     total = sum(counted[name] * each for name, each in PICOJOULES.items())
     return [
-        Cost(name, counted[name], each, counted[name] * each / total) for name, each in PICOJOULES.items()
+        EnergyTerm(name, counted[name], each, counted[name] * each / total)
+        for name, each in PICOJOULES.items()
     ]
 
 
-def summary(config: NetworkConfig, core: OnLoihi, flights: Flights) -> dict[str, str]:
+def chip_summary(config: NetworkConfig, core: OnLoihi, flights: Flights) -> dict[str, str]:
     """Summarise a network on the chip over flights for the terminal: spikes, operations, energy, error.
 
     Raises:

@@ -22,7 +22,7 @@ from ..loihi.chip import partition
 from ..loihi.layers import LoihiNetwork
 from ..loihi.neurons import VTH_EXP, VTH_MAX
 from ..networks.encoder import INPUT_MAX, INPUT_ONE
-from ..networks.forward import BIAS_EXP, advance
+from ..networks.forward import BIAS_EXP, advance_encoders
 from ..networks.weights_file import ordered
 from .activity import Activity
 from .energy import costs, counts
@@ -129,11 +129,11 @@ def on_chip(layers: Sequence[FloatLayer], x: Array, vth: int | None = None) -> t
     threshold, if a file of quadsim gives one.
     """
     encoded = bool(np.any((x != 0) & (x != 1)))
-    floats, peaks = run_floats(layers, x, encoded)
+    floats, peaks = float_activity(layers, x, encoded)
     drive = None
     if encoded:  # without the recurrent connections, which are the chip's
         alone = layers[0]._replace(w_rec=np.zeros_like(layers[0].w_rec))
-        drive = run_floats([alone], x, encoded)[1][0].u
+        drive = float_activity([alone], x, encoded)[1][0].u
     one = None
     if vth is not None:
         smallest = min(layer.vth.min() for layer in layers)
@@ -141,7 +141,7 @@ def on_chip(layers: Sequence[FloatLayer], x: Array, vth: int | None = None) -> t
     return quantise(layers, peaks, drive, one), floats
 
 
-def run_floats(layers: Sequence[FloatLayer], x: Array, encoded: bool) -> tuple[Activity, list[Peaks]]:
+def float_activity(layers: Sequence[FloatLayer], x: Array, encoded: bool) -> tuple[Activity, list[Peaks]]:
     """Run a network in floats with the delays of the chip.
 
     Args:
@@ -220,7 +220,7 @@ def encoded_inputs(network: ChipNetwork, x: Array) -> NDArray[np.int32] | None:
     for copy, driven in zip(whole, bias, strict=True):
         current = np.zeros(neurons, np.int32)
         for t in range(steps):
-            advance(copy[t], table, current, driven[t], total)
+            advance_encoders(copy[t], table, current, driven[t], total)
     return bias
 
 

@@ -23,7 +23,7 @@ LAYERED = ("att-snn-paper", "att-rnn-paper")
 Update = Callable[[NDArray[np.float64], NDArray[np.float64]], object]
 
 
-def contenders() -> dict[str, Update]:
+def timed_estimators() -> dict[str, Update]:
     """Return `update` of every estimator except the truth, and of the networks of layers."""
     return {
         name: create(name, RATE_HZ, vehicle="hummingbird").update
@@ -32,7 +32,7 @@ def contenders() -> dict[str, Update]:
     }
 
 
-def measure(updates: Mapping[str, Update], rounds: int) -> dict[str, NDArray[np.float64]]:
+def update_times(updates: Mapping[str, Update], rounds: int) -> dict[str, NDArray[np.float64]]:
     """Time each call, in turns [µs]."""
     rng = np.random.default_rng(0)
     gyro = rng.normal(0.0, 0.5, (CALLS, 1, 3))

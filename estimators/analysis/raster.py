@@ -3,7 +3,7 @@
 import numpy as np
 
 from quadsim.estimator import AttitudeEstimator
-from quadsim.pictures.timeline import Array, Spikes
+from quadsim.pictures.timeline import Array, SpikeRaster
 
 from ..circuit.spikes import SpikingCircuit
 from ..networks.forward import Spiking
@@ -11,7 +11,7 @@ from ..networks.network import NO_SET_POINTS, NetworkEstimator, zero_states
 from .activity import record
 
 
-def spikes_of(est: AttitudeEstimator | None, gyro: Array, accel: Array) -> dict[str, Spikes]:
+def spikes_of(est: AttitudeEstimator | None, gyro: Array, accel: Array) -> dict[str, SpikeRaster]:
     """Run the network of an estimator on a recording and return its spikes.
 
     Args:
@@ -35,7 +35,7 @@ def spikes_of(est: AttitudeEstimator | None, gyro: Array, accel: Array) -> dict[
     return _listed({"encoding": encoding, "hidden": hidden}, est.rate_hz)
 
 
-def _of_circuit(core: SpikingCircuit, gyro: Array, accel: Array, rate_hz: float) -> dict[str, Spikes]:
+def _of_circuit(core: SpikingCircuit, gyro: Array, accel: Array, rate_hz: float) -> dict[str, SpikeRaster]:
     steps, vectors, gates = (int(core.arrays[0][k]) for k in (12, 15, 16))
     sizes = {"vectors": 3 * vectors, "innovations": 3 * gates, "gates": gates, "bias": 3}
     fired = np.zeros((1, len(gyro) * steps, sum(sizes.values())), np.int8)
@@ -50,7 +50,7 @@ def _of_circuit(core: SpikingCircuit, gyro: Array, accel: Array, rate_hz: float)
     return _listed(signed, rate_hz * steps)
 
 
-def _listed(rasters: dict[str, np.ndarray], rate_hz: float) -> dict[str, Spikes]:
+def _listed(rasters: dict[str, np.ndarray], rate_hz: float) -> dict[str, SpikeRaster]:
     """Convert rasters (steps, neurons) to lists of spikes; populations without spikes are omitted."""
     found = {name: np.nonzero(raster) for name, raster in rasters.items()}
-    return {name: Spikes(step / rate_hz, neuron) for name, (step, neuron) in found.items() if step.size}
+    return {name: SpikeRaster(step / rate_hz, neuron) for name, (step, neuron) in found.items() if step.size}

@@ -16,7 +16,7 @@ from quadsim.runs.files import write_whole
 from quadsim.runs.fingerprint import ASSETS
 
 from ..networks.weights_file import CIRCUIT, END, Shapes, Tensors, check_shapes, ordered, read_tensors
-from .parameters import Parameters, expected_shapes
+from .parameters import Parameters, circuit_shapes
 
 FILE = ASSETS / "weights" / f"att-snn{END}"
 SHIPPED: dict[str, Path] = dict.fromkeys(("att-snn", "att-snn-loihi", "att-rnn"), FILE)
@@ -96,7 +96,7 @@ LARGEST = 1e4
 
 
 def _shapes(config: CircuitConfig, found: Shapes) -> tuple[Shapes, Shapes]:
-    return expected_shapes(config.vectors, config.gates, found.get("pairs", (0,))[0]), {}
+    return circuit_shapes(config.vectors, config.gates, found.get("pairs", (0,))[0]), {}
 
 
 def _check(path: str | Path, config: CircuitConfig, tensors: Tensors) -> None:

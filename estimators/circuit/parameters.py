@@ -68,7 +68,7 @@ LEARNT = ("mix", "pull", "give", "take", "read", "learn", "gate", "level", "onse
 """Parameters that training changes."""
 
 
-def expected_shapes(vectors: int, gates: int, pairs: int) -> dict[str, tuple[int, ...]]:
+def circuit_shapes(vectors: int, gates: int, pairs: int) -> dict[str, tuple[int, ...]]:
     """Return the shapes of `Parameters`, by name."""
     v, q = vectors, gates
     return {
@@ -89,7 +89,7 @@ def untrained(vectors: int = 4, gates: int = 8, seed: int = 0, weight_noise: flo
             training, relative to 0.01 /s.
     """
     rng = np.random.default_rng(seed)
-    shapes = expected_shapes(vectors, gates, pairs=1)
+    shapes = circuit_shapes(vectors, gates, pairs=1)
     values: dict[str, Any] = {name: np.zeros(shape) for name, shape in shapes.items()}
     values |= {"pairs": np.array([[OUTPUT, 6]]), "start": np.ones(vectors), "scale": np.ones(vectors)}
     p = Parameters(**values)

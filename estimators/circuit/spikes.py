@@ -110,7 +110,7 @@ def run_circuit(gyro, accel, set_points, settings, numbers, states, out, fired=N
             part = slice(3 * t, 3 * t + 3)
             _sense(gyro[copy, part], accel[copy, part], scaling, row, state, circuit)
             for k in range(steps):
-                step(row, state, circuit, steps, spikes)
+                step_circuit(row, state, circuit, steps, spikes)
                 if fired is not None:
                     now = fired[copy, t * steps + k]
                     now[:passed] = spikes.vectors.ravel()
@@ -131,7 +131,7 @@ def _sense(gyro, accel, scaling, row, state, circuit):
 
 
 @njit
-def step(row, state, circuit, steps, spikes):
+def step_circuit(row, state, circuit, steps, spikes):
     """Run one of several steps per sample of a copy, and write `spikes`."""
     s, n_w, n_a, heard, opened = spikes
     state.ring[0] = state.ring[0] % RING.size + 1

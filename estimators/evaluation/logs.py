@@ -25,7 +25,7 @@ from ..registry import FILTERPY, names, needs_vehicle
 from .beliefs import Beliefs, Coverage, beliefs
 from .comparison import COLUMNS, Evaluation, Progress, assessed, errors_of, failed, made_of
 from .flights import Flights, load_flights
-from .without_truth import FEWEST, LEVEL, LOW_PASS_S, Comparison, compare, is_larger, motion
+from .without_truth import FEWEST, LEVEL, LOW_PASS_S, Comparison, compare, gyro_angle, is_larger
 
 Array = NDArray[np.float64]
 logger = logging.getLogger(__name__)
@@ -261,7 +261,7 @@ def prepared(log: xr.Dataset, within_deg: float = 45.0, skip_s: float = SKIP_S) 
         unscorable = unscorable or ("" if counted.any() else lacking)
     shown = truth
     if unscorable == NO_ATTITUDE:
-        counted, shown = started & readings, motion(flights.gyro[0], flights.rate_hz)
+        counted, shown = started & readings, gyro_angle(flights.gyro[0], flights.rate_hz)
         if not counted.any():
             unscorable = f"it has neither attitude nor readings after the first {skip_s:g} s"
     masked = replace(flights, truth=np.where(counted[:, None], shown, np.nan)[None])

@@ -79,7 +79,7 @@ def compare(
     return Comparison(apart, force, level_force, favoured, undecided, flaws)
 
 
-def motion(gyro: Array, rate_hz: float) -> Array:
+def gyro_angle(gyro: Array, rate_hz: float) -> Array:
     """Integrate the gyroscope about its x and y axes, without its mean rate, (T, 2) [rad]."""
     rate = np.nan_to_num(gyro[:, :2])
     return np.cumsum(rate - rate.mean(axis=0), axis=0) / rate_hz

@@ -22,7 +22,7 @@ from ..control.controller import THRUST_MAX, set_point_gain
 from ..loihi.neurons import STATE_ONE
 from ..networks.encoder import HOLD, INPUT_MAX, Scaling, input_scaling
 from ..networks.layer_parameters import PARAMETERS, complete, of_layer
-from ..networks.weights_file import NetworkConfig, Tensors, parameters
+from ..networks.weights_file import NetworkConfig, Tensors, parameter_count
 from ..sanitise import RATE_STEP
 
 Ints = NDArray[np.int64]
@@ -76,7 +76,7 @@ def write_c(folder: str | Path, config: NetworkConfig, tensors: Tensors) -> None
         **WORDS[config.outputs],
         "encoding": config.encoding,
         "hidden": config.hidden,
-        "parameters": parameters(tensors),
+        "parameters": parameter_count(tensors),
         "rate": f"{config.rate_hz:g}",
         "inputs": config.n_inputs,
         "outputs": config.n_outputs,

@@ -15,7 +15,7 @@ from quadsim.runs.compiled import njit
 
 from .driver import Array, CompiledFilter, Records
 from .inline_math import tilt_of_force_core, wrap_core
-from .samples import reacquire, run_all
+from .samples import reacquire, run_vehicles
 
 SLOW_RATE = 0.1
 """Body rate below which the adaptive filter gives the accelerometer more weight [rad/s]."""
@@ -45,7 +45,7 @@ def step(s, p, sample):
 @njit(cache=True, nogil=True, error_model="numpy")
 def run(states, samples, params, dt, gyro, accel, rotor_vel, out):
     """Process a sample or sequences; see `driver`."""
-    run_all(step, states, samples, params, dt, gyro, accel, rotor_vel, out)
+    run_vehicles(step, states, samples, params, dt, gyro, accel, rotor_vel, out)
 
 
 class Complementary(CompiledFilter):

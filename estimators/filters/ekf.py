@@ -16,7 +16,7 @@ from quadsim.runs.compiled import njit
 
 from .driver import Array, CompiledFilter, Records
 from .inline_math import direction_core, exp_core, multiply, put, roll_pitch_core
-from .samples import run_all
+from .samples import run_vehicles
 
 SIGMA_KNOWN = 0.01
 """Standard deviation of a known initial attitude [rad]."""
@@ -101,7 +101,7 @@ def step(s, p, sample):
 @njit(cache=True, nogil=True, error_model="numpy")
 def run(states, samples, params, dt, gyro, accel, rotor_vel, out):
     """Process a sample or sequences; see `driver`."""
-    run_all(step, states, samples, params, dt, gyro, accel, rotor_vel, out)
+    run_vehicles(step, states, samples, params, dt, gyro, accel, rotor_vel, out)
 
 
 class Ekf(CompiledFilter):

@@ -23,7 +23,7 @@ from quadsim.vehicle import GRAVITY
 from .driver import Array, CompiledFilter, Records
 from .ekf import NOTHING_KNOWN, SIGMA_UNKNOWN, correct
 from .inline_math import atan2_core, exp_core, multiply, put, roll_pitch_core, rotate
-from .samples import run_all
+from .samples import run_vehicles
 
 RECORD = np.dtype(
     [
@@ -97,7 +97,7 @@ def step(s, p, sample):
 @njit(cache=True, nogil=True, error_model="numpy")
 def run(states, samples, params, dt, gyro, accel, rotor_vel, out):
     """Process a sample or sequences; see `driver`."""
-    run_all(step, states, samples, params, dt, gyro, accel, rotor_vel, out)
+    run_vehicles(step, states, samples, params, dt, gyro, accel, rotor_vel, out)
 
 
 class Eskf(CompiledFilter):

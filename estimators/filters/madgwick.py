@@ -16,7 +16,7 @@ from quadsim.runs.compiled import njit
 
 from .driver import CompiledFilter
 from .inline_math import direction_core, multiply, put, roll_pitch_core
-from .samples import reacquire, run_all
+from .samples import reacquire, run_vehicles
 
 RECORD = np.dtype([("quat", "f8", 4), ("tilt_variance", "f8")])
 """State; the variance is that of the tilt error caused by gaps [rad²]."""
@@ -59,7 +59,7 @@ def step(s, p, sample):
 @njit(cache=True, nogil=True, error_model="numpy")
 def run(states, samples, params, dt, gyro, accel, rotor_vel, out):
     """Process a sample or sequences; see `driver`."""
-    run_all(step, states, samples, params, dt, gyro, accel, rotor_vel, out)
+    run_vehicles(step, states, samples, params, dt, gyro, accel, rotor_vel, out)
 
 
 class Madgwick(CompiledFilter):

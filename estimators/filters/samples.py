@@ -159,7 +159,7 @@ def squared_error(estimate, truth):
 
 
 @njit(forceinline=True, error_model="numpy")
-def run_all(step, states, samples, params, dt, gyro, accel, rotor_vel, out):
+def run_vehicles(step, states, samples, params, dt, gyro, accel, rotor_vel, out):
     """Process all samples of all vehicles, as the `run` of a filter; the arguments are those of `driver`."""
     p = params[0]
     for i in range(states.shape[0]):

@@ -9,7 +9,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from quadsim.runs.compiled import njit
 
-from .neurons import BIAS_MANT_MAX, DECAY_ONE, VTH_EXP, VTH_MAX, NeuronState, list_spikes, neurons_of, step
+from .neurons import (
+    BIAS_MANT_MAX,
+    DECAY_ONE,
+    VTH_EXP,
+    VTH_MAX,
+    NeuronState,
+    list_spikes,
+    neurons_of,
+    step_network,
+)
 
 WEIGHT_MIN, WEIGHT_MAX = -256, 254
 WEIGHT_EXP_MIN = -6
@@ -188,7 +197,7 @@ def _step_all(weights, tables, drive, states):
         neurons = neurons_of(weights, drive.shape[1], tables[n])
         copy = NeuronState(states.first_v[n], states.u[n], states.v[n])
         list_spikes(neurons, copy.first_v, copy.v, spikes)
-        step(neurons, drive[n], copy, spikes, spikes, sums)
+        step_network(neurons, drive[n], copy, spikes, spikes, sums)
 
 
 def _weights(name: str, value: ArrayLike, shape: tuple[int, int | None]) -> NDArray[np.int32]:

@@ -101,7 +101,7 @@ def _deliver(weights, spikes, sums):
 
 
 @njit(inline="always")
-def step(neurons, drive, state, spikes, before, sums):
+def step_network(neurons, drive, state, spikes, before, sums):
     """Run one step of one copy of the network, and change its state in place.
 
     Args:

@@ -34,7 +34,7 @@ from ..loihi.neurons import (
     list_spikes,
     neurons_of,
     shift,
-    step,
+    step_network,
     wrap,
 )
 from .encoder import ENCODED, INPUT_ONE, Scaling, encode_sample, encoder_fields, input_scaling
@@ -157,15 +157,15 @@ def run_spiking(gyro, accel, set_points, settings, encoders, table, weights, sta
             if before.size:
                 list_spikes(neurons, before[:h0], before[h0:], earlier)
                 before[:] = potentials
-            advance(x, encoders, current, bias, total)
-            step(neurons, bias, state, spikes, earlier, sums)
+            advance_encoders(x, encoders, current, bias, total)
+            step_network(neurons, bias, state, spikes, earlier, sums)
             for o in range(targets - hidden):
                 v = state.v[hidden + o]
                 out[c, (targets - hidden) * t + o] = 0.0 if v > neurons.vth[hidden + o] else v * scale
 
 
 @njit(inline="always")
-def advance(x, encoders, current, bias, total):
+def advance_encoders(x, encoders, current, bias, total):
     """Advance the host's currents of the encoding layer by one step, and write the resulting bias.
 
     Args:

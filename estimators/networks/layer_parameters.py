@@ -49,7 +49,7 @@ DECAY = Kind(1, DECAY_ONE, -1 / DECAY_ONE, 1.0, lambda decay: (DECAY_ONE - decay
 EXPONENT = Kind(WEIGHT_EXP_MIN, 0, 1.0, 0.0, lambda exponent: 1 << (7 + exponent))
 
 
-class Parameter(NamedTuple):
+class LayerParameter(NamedTuple):
     """One tensor of the network."""
 
     layer: str
@@ -66,18 +66,18 @@ class Parameter(NamedTuple):
 
 
 PARAMETERS = {
-    "w_in": Parameter("encoding", "w_in", WEIGHT, ("encoding", "inputs")),
-    "w_ff": Parameter("hidden", "w_in", WEIGHT, ("hidden", "encoding")),
-    "w_rec": Parameter("hidden", "w_rec", WEIGHT, ("hidden", "hidden")),
-    "w_out": Parameter("outputs", "w_in", WEIGHT, ("outputs", "hidden")),
-    "syn0": Parameter("encoding", "du", DECAY, ("encoding",), 1 - 0.08),
-    "mem0": Parameter("encoding", "dv", DECAY, ("encoding",), 1 - 0.03),
-    "syn1": Parameter("hidden", "du", DECAY, ("hidden",), 1 - 0.08),
-    "mem1": Parameter("hidden", "dv", DECAY, ("hidden",), 1 - 0.03),
-    "syn2": Parameter("outputs", "du", DECAY, ("one",), 1 - 0.5),
-    "mem2": Parameter("outputs", "dv", DECAY, ("one",), 1 - 0.08),
-    "exp_ff": Parameter("hidden", "exp_in", EXPONENT, ("hidden",), optional=True),
-    "exp_rec": Parameter("hidden", "exp_rec", EXPONENT, ("hidden",), optional=True),
+    "w_in": LayerParameter("encoding", "w_in", WEIGHT, ("encoding", "inputs")),
+    "w_ff": LayerParameter("hidden", "w_in", WEIGHT, ("hidden", "encoding")),
+    "w_rec": LayerParameter("hidden", "w_rec", WEIGHT, ("hidden", "hidden")),
+    "w_out": LayerParameter("outputs", "w_in", WEIGHT, ("outputs", "hidden")),
+    "syn0": LayerParameter("encoding", "du", DECAY, ("encoding",), 1 - 0.08),
+    "mem0": LayerParameter("encoding", "dv", DECAY, ("encoding",), 1 - 0.03),
+    "syn1": LayerParameter("hidden", "du", DECAY, ("hidden",), 1 - 0.08),
+    "mem1": LayerParameter("hidden", "dv", DECAY, ("hidden",), 1 - 0.03),
+    "syn2": LayerParameter("outputs", "du", DECAY, ("one",), 1 - 0.5),
+    "mem2": LayerParameter("outputs", "dv", DECAY, ("one",), 1 - 0.08),
+    "exp_ff": LayerParameter("hidden", "exp_in", EXPONENT, ("hidden",), optional=True),
+    "exp_rec": LayerParameter("hidden", "exp_rec", EXPONENT, ("hidden",), optional=True),
 }
 """Tensors of Att-SNN by their names in a file; only quantised networks have exponents."""
 EXPONENTS = {"w_ff": "exp_ff", "w_rec": "exp_rec"}

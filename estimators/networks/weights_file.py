@@ -130,7 +130,7 @@ class NetworkConfig(Layers):
         return self.model == "att-snn" and self.quantised
 
 
-def expected_shapes(config: NetworkConfig) -> Shapes:
+def tensor_shapes(config: NetworkConfig) -> Shapes:
     """Return names and shapes of the tensors of a network."""
     h0, h1, out = config.encoding, config.hidden, config.n_outputs
     if config.model == "att-snn":
@@ -143,7 +143,7 @@ def expected_shapes(config: NetworkConfig) -> Shapes:
     return shapes
 
 
-def parameters(tensors: Mapping[str, NDArray[Any]]) -> int:
+def parameter_count(tensors: Mapping[str, NDArray[Any]]) -> int:
     """Count the parameters of a network: non-zero weights, time constants and biases."""
     return sum(
         int(np.count_nonzero(value)) if name in MATRICES else value.size
@@ -268,7 +268,7 @@ def _config_of(path: Path, metadata: Mapping[str, str], kind: type[Config], form
 
 def _shapes(config: NetworkConfig) -> tuple[Shapes, Shapes]:
     """Return the shapes of required and of optional tensors."""
-    return expected_shapes(config), {name: (config.hidden,) for name in EXPONENTS.values() if config.whole}
+    return tensor_shapes(config), {name: (config.hidden,) for name in EXPONENTS.values() if config.whole}
 
 
 def check_shapes(path: str | Path, found: Shapes, needed: Shapes, optional: Shapes) -> None:

@@ -67,7 +67,7 @@ class TooShortError(Exception):
     """A training is too short for a measure."""
 
 
-def judge(numbers: Numbers, judges: bool = True) -> list[Judgement]:
+def judge_claims(numbers: Numbers, judges: bool = True) -> list[Judgement]:
     """Judge all claims. A claim without its stages is not judged, and a small run judges none."""
     judged = []
     for claim in CLAIMS["claim"]:
@@ -87,7 +87,7 @@ def judge(numbers: Numbers, judges: bool = True) -> list[Judgement]:
     return judged
 
 
-def interval(
+def bootstrap_interval(
     function: Callable[..., float], *samples: Sequence[float] | Array, paired: bool = False
 ) -> Interval:
     """Return the bootstrap interval of a number computed from samples; paired samples are drawn together."""
@@ -105,13 +105,13 @@ def interval(
 
 def ratio(above: Sequence[float], below: Sequence[float], paired: bool = False) -> Interval:
     """Return the mean of some errors divided by the mean of others."""
-    return interval(lambda a, b: float(a.mean() / b.mean()), above, below, paired=paired)
+    return bootstrap_interval(lambda a, b: float(a.mean() / b.mean()), above, below, paired=paired)
 
 
 def median_time(times: Sequence[float | None]) -> Interval:
     """Return the median of times [s], where None means never."""
     finite = [np.inf if time is None else time for time in times]
-    return interval(lambda each: float(np.sort(each)[len(each) // 2]), finite)
+    return bootstrap_interval(lambda each: float(np.sort(each)[len(each) // 2]), finite)
 
 
 def errors(
@@ -185,7 +185,7 @@ def scatter_ratio(numbers: Numbers, limit: float) -> Judged:
         ours, theirs = (float(np.std(np.concatenate(each))) for each in chosen)
         return ours / theirs
 
-    found = interval(over, *(np.arange(len(each), dtype=np.float64) for each in blocks))
+    found = bootstrap_interval(over, *(np.arange(len(each), dtype=np.float64) for each in blocks))
     theirs = QUOTED["losses"]["att-snn"] / QUOTED["losses"]["att-rnn"]
     return found.low > limit, found.value > limit, f"{found} times, in the paper {theirs:.2f} times"
 

@@ -44,7 +44,7 @@ def _statistics(values: Sequence[float], *of: Callable[..., float]) -> str:
     return " / ".join(f"{each(values):.2f}" for each in of)
 
 
-def folds(numbers: Numbers) -> str:
+def fold_table(numbers: Numbers) -> str:
     """Make Table 1: errors of every fold, mean and SD over flights."""
     found = numbers["score-folds"]
     mixed = [name for name in found if name not in CROSS]

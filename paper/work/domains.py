@@ -18,7 +18,9 @@ DOMAINS = {"sim": "paper", "real": "paper-px4"}
 """Names of the domains, and their recipes."""
 
 
-def fly(folder: Path, *, domain: str, trajectory: dict[str, Any] | None = None, **settings: Any) -> None:
+def generate_flights(
+    folder: Path, *, domain: str, trajectory: dict[str, Any] | None = None, **settings: Any
+) -> None:
     """Generate flights of a domain, optionally on another trajectory; `settings` are those of `generate`."""
     config: Recipe = load_recipe(DOMAINS[domain])
     if trajectory:

@@ -20,7 +20,7 @@ LEAST = 1e-6
 """Lower bound of the search for every other parameter, instead of 0; the upper bound is 1."""
 
 
-def tune(
+def tune_filter(
     folder: Path, *, name: str, flights: Sequence[Path], particles: int, iterations: int, seed: int
 ) -> Numbers:
     """Tune a filter on flights of both domains from an unknown start."""

@@ -16,7 +16,7 @@ from estimators.networks.weights_file import load_network
 from quadsim.dataset.reading import open_dataset
 
 from ..stages import FLIGHTS, WEIGHTS, Numbers
-from .scores import flights_of
+from .scores import stage_flights
 
 FRACTIONS = tuple(np.round(np.arange(0.0, 0.65, 0.05), 2))
 """Shares of the neurons that the ablation curves remove."""
@@ -24,10 +24,10 @@ RARE = 0.005
 """Spikes per step below which the paper removes a neuron."""
 
 
-def look(folder: Path, *, flights: Path, network: Path, twin: Path) -> Numbers:
+def inspect_network(folder: Path, *, flights: Path, network: Path, twin: Path) -> Numbers:
     """Measure spikes, ablation, modelled energy and operations of a network on the chip (Figs. 7, 9)."""
     config, tensors = load_network(network / WEIGHTS)
-    recorded = flights_of(flights)
+    recorded = stage_flights(flights)
     core = OnLoihi(config, tensors)
     activity = record(core, recorded.gyro, recorded.accel)
     rates = [activity.of_layer(activity.rates, layer) for layer in (0, 1)]
@@ -60,7 +60,7 @@ def manipulate(folder: Path, *, cruise: Path, test: Path, networks: Sequence[Pat
     for network in networks:
         config, tensors = load_network(network / WEIGHTS)
         est = NetworkEstimator(Spiking(config, tensors), config.rate_hz)
-        steady, fast = (responses(est, flights_of(each)) for each in (cruise, test))
+        steady, fast = (responses(est, stage_flights(each)) for each in (cruise, test))
         found[network.name] = {
             way: {
                 "pitch_deg": np.degrees(steady[way].estimate[::SHOWN, 1]).round(2).tolist(),
@@ -71,7 +71,7 @@ def manipulate(folder: Path, *, cruise: Path, test: Path, networks: Sequence[Pat
             }
             for way, each in fast.items()
         }
-    truth = flights_of(cruise)
+    truth = stage_flights(cruise)
     pitch = np.degrees(truth.truth[0, ::SHOWN, 1]).round(2).tolist()
     flown = open_dataset(cruise / FLIGHTS)["velocity"].to_numpy()
     metres_s = float(np.median(np.linalg.norm(flown, axis=-1)))

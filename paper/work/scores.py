@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators import create, run
-from estimators.analysis.latency import contenders, measure
+from estimators.analysis.latency import timed_estimators, update_times
 from estimators.evaluation.comparison import evaluate, tilted_starts
 from estimators.evaluation.flights import Flights, load_flights
 from estimators.metrics import absolute_error, attitude_error, inclination_error
@@ -17,12 +17,11 @@ from quadsim.dataset.reading import open_dataset
 from quadsim.estimator import AttitudeEstimator
 from quadsim.flight.mission import Mission
 from quadsim.flight.scenario import load_scenario
-from scenarios.bench.flight_log import Log
-from scenarios.bench.flight_log import fly as fly_mission
+from scenarios.bench.flight_log import Log, fly_mission
 from scenarios.bench.flight_metrics import flight_metrics
 from training.config import TrainConfig
-from training.data import flights_of as training_flights_of
 from training.data import load_training_flights
+from training.data import split_flights as training_flights_of
 
 from ..stages import FLIGHTS, TUNING, WEIGHTS, Numbers
 
@@ -59,12 +58,14 @@ def estimators_of(
     }
 
 
-def flights_of(path: Path) -> Flights:
+def stage_flights(path: Path) -> Flights:
     """Load the flights of a stage."""
     return load_flights([open_dataset(path / FLIGHTS)])
 
 
-def folds(folder: Path, *, domains: Sequence[Path], mixed: Sequence[Path], only: Sequence[Path]) -> Numbers:
+def score_folds(
+    folder: Path, *, domains: Sequence[Path], mixed: Sequence[Path], only: Sequence[Path]
+) -> Numbers:
     """Score networks on training and test flights, of both domains mixed and of one domain (Table 1).
 
     Args:
@@ -114,19 +115,19 @@ def recover(
     initial roll of 20°; networks accept no initial attitude. The example is a start with a pitch of 20°, on
     the second domain.
     """
-    flights, still = [flights_of(each) for each in flying], flights_of(hover)
+    flights, still = [stage_flights(each) for each in flying], stage_flights(hover)
     steps = min(round(RESPONSE_S * RATE_HZ), flights[0].gyro.shape[1] // 2)
     starts = [tilted_starts(each, TILT_DEG, steps, seed) for each in flights]
     pieces = [piece for piece in starts if piece is not None]
     pitched = int(np.argmax(np.abs(pieces[-1].truth[:, 0, 1])))
     wrong = np.zeros((len(still.gyro), 2))
     wrong[:, 0] = np.radians(TILT_DEG)
-    curves, example = {}, {"truth": shown(pieces[-1].truth[pitched])}
+    curves, example = {}, {"truth": shown_pitch(pieces[-1].truth[pitched])}
     for name, est in estimators_of(filters, networks).items():
         estimates = [run(est, piece.gyro, piece.accel, quat=piece.quat) for piece in pieces]
         errors = [inclination_error(each, p.truth) for each, p in zip(estimates, pieces, strict=True)]
         curves[name] = {"flight": response_of(np.concatenate(errors))}
-        example[name] = shown(estimates[-1][pitched])
+        example[name] = shown_pitch(estimates[-1][pitched])
         if name in FILTERS:
             estimate = run(est, still.gyro, still.accel, roll_pitch=wrong, quat=still.quat)
             curves[name]["hover"] = response_of(inclination_error(estimate, still.truth)[:, :steps])
@@ -134,7 +135,7 @@ def recover(
     return {"starts": count, "hovers": len(wrong), "curves": curves, "example": example}
 
 
-def shown(estimate: Array) -> list[float]:
+def shown_pitch(estimate: Array) -> list[float]:
     """Return the pitch of one flight (T, 2) for drawing [deg]."""
     return np.degrees(estimate[:: round(RATE_HZ / SHOWN_HZ), 1]).round(2).tolist()
 
@@ -183,5 +184,5 @@ def error_in_parts(log: Log, end: NDArray[np.int64]) -> list[float]:
 
 def latencies(folder: Path, *, rounds: int) -> Numbers:
     """Measure the time of one update of every estimator (Fig. 9): 1st, 50th and 99th percentile [µs]."""
-    taken = measure(contenders(), rounds)
+    taken = update_times(timed_estimators(), rounds)
     return {name: np.percentile(each, [1, 50, 99]).tolist() for name, each in taken.items()}

@@ -7,18 +7,20 @@ from typing import Any
 import numpy as np
 
 from training.config import make_config
-from training.epochs import run
+from training.epochs import train_epochs
 
 from ..stages import FLIGHTS, Numbers
 
 
-def train(folder: Path, *, data: Sequence[Path], validation: Sequence[Path], **choices: Any) -> Numbers:
+def train_network(
+    folder: Path, *, data: Sequence[Path], validation: Sequence[Path], **choices: Any
+) -> Numbers:
     """Train a network; without validation flights, 70 % of the flights train and 20 % validate.
 
     `choices` are fields of `TrainConfig`.
     """
-    train, choose = ([path / FLIGHTS for path in paths] for paths in (data, validation))
-    result = run(make_config(data=train, validation=choose, **choices), folder)
+    train_network, choose = ([path / FLIGHTS for path in paths] for paths in (data, validation))
+    result = train_epochs(make_config(data=train_network, validation=choose, **choices), folder)
     if result.reason == "interrupted":
         raise KeyboardInterrupt
     log = np.atleast_1d(np.genfromtxt(folder / "log.csv", delimiter=",", names=True))

@@ -87,7 +87,7 @@ def train(
     if validation:
         choices["validation"] = tuple(map(str, validation))
     from training.config import make_config
-    from training.epochs import INTERRUPTED, run
+    from training.epochs import INTERRUPTED, train_epochs
     from training.run_folder import tensorboard_events
 
     config = make_config(preset, model=model, data=tuple(map(str, data or [])), seed=seed, **choices)
@@ -100,7 +100,7 @@ def train(
             bar(epoch.epoch + 1, config.epochs)
             say(f"epoch {epoch.epoch + 1}: {epoch}")
 
-        result = run(
+        result = train_epochs(
             config,
             out,
             progress,

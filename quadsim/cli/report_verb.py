@@ -135,7 +135,7 @@ def _report_dataset(path: Path, verify: bool, out: Path | None) -> None:
 
 
 def _report_circuit(path: str, data: list[Path]) -> None:
-    from estimators.analysis.circuit import measure
+    from estimators.analysis.circuit import measure_datasets
     from estimators.circuit.file import load_circuit
     from estimators.circuit.on_chip import place, populations
     from estimators.circuit.parameters import quantised
@@ -148,14 +148,14 @@ def _report_circuit(path: str, data: list[Path]) -> None:
     neurons, cores = sum(each.neurons for each in parts), place(circuit)
     last = f"{path}: {neurons} neurons on {cores} of a chip's 128 cores"
     if data:
-        found = measure(config, parameters, data)
+        found = measure_datasets(config, parameters, data)
         print_table(found.summary())
         last += f", error {found.error_deg:.2f}°"
     say(last)
 
 
 def _report_weights(weights: str, data: list[Path]) -> None:
-    from estimators.analysis.energy import summary
+    from estimators.analysis.energy import chip_summary
     from estimators.evaluation.flights import load_flights
     from estimators.networks.forward import OnLoihi
     from estimators.networks.weights_file import load_network
@@ -168,7 +168,7 @@ def _report_weights(weights: str, data: list[Path]) -> None:
     output.print(cores_table(core.cores))
     last = f"{weights}: {sum(core.sizes)} neurons on {len(core.cores)} of a chip's 128 cores"
     if data:
-        found = summary(config, core, load_flights([open_dataset(path) for path in data]))
+        found = chip_summary(config, core, load_flights([open_dataset(path) for path in data]))
         print_table(found.items())
         last += f", error {found['error']}"
     say(last)

@@ -14,7 +14,7 @@ from ..estimator import numbers_of
 from ..own import named_errors
 from ..runs.compiled import njit
 from ..vehicle import Vehicle
-from .cascade import actuate, attitude_set_point
+from .cascade import apply_action, attitude_set_point
 from .records import ATTITUDE, ROTOR
 
 Array = NDArray[np.float64]
@@ -50,7 +50,7 @@ MakeController = Callable[[float, Vehicle], AttitudeController]
 """Factory of controllers, called as make(rate_hz, vehicle)."""
 
 
-def made(make: MakeController, rate_hz: float, vehicle: Vehicle) -> AttitudeController:
+def made_controller(make: MakeController, rate_hz: float, vehicle: Vehicle) -> AttitudeController:
     """Return the controller that a factory makes.
 
     Raises:
@@ -133,7 +133,7 @@ class InnerLoop:
         if direct:
             speeds[:] = action
         else:
-            actuate_all(self.records, action)
+            apply_actions(self.records, action)
         return ROTOR
 
 
@@ -145,7 +145,7 @@ def guide_all(level, loops, out):
 
 
 @njit(cache=True)
-def actuate_all(loops, actions):
+def apply_actions(loops, actions):
     """Run `actuate` for records (n,) and actions (n, 4)."""
     for i in range(loops.shape[0]):
-        actuate(loops[i].measured, loops[i].controller, actions[i])
+        apply_action(loops[i].measured, loops[i].controller, actions[i])

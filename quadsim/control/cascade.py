@@ -228,7 +228,7 @@ def attitude_set_point(level, u, m, c, out):
 
 
 @njit(cache=True)
-def actuate(m, c, action):
+def apply_action(m, c, action):
     """Write the rotor speeds for an action to `rotor_vel_cmd` of the record.
 
     Args:

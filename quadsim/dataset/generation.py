@@ -120,7 +120,7 @@ def _make_way(plan: Plan, out: Path, overwrite: bool) -> bool:
         if text and not overwrite:
             _refuse_other(plan, json.loads(text), f"{out} is unfinished and holds")
         shutil.rmtree(folder)
-    dataset_store.begin(folder, plan)
+    dataset_store.lay_out(folder, plan)
     return True
 
 

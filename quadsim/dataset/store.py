@@ -145,7 +145,7 @@ def chunk_file(store: Path, variable: str, flight: int) -> Path:
     return store / variable / f"c.{flight}.0.0"
 
 
-def begin(folder: Path, plan: Plan) -> None:
+def lay_out(folder: Path, plan: Plan) -> None:
     """Create an empty store; a store without a plan is created again."""
     (folder / "flights").mkdir(parents=True, exist_ok=True)
     group = zarr.open_group(folder / "data", mode="w")

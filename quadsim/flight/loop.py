@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..config.ranges import Engine
-from ..control.attitude_controller import InnerLoop, MakeController, made, start_own
+from ..control.attitude_controller import InnerLoop, MakeController, made_controller, start_own
 from ..control.cascade import Controller
 from ..control.records import LEVELS, POSITION, Command, Level
 from ..estimator import AttitudeEstimator, Readings, accepted_sensors, receives_truth, roll_pitch_of
@@ -84,7 +84,7 @@ class FlightLoop:
         self.controller = Controller(nominal or first, n, rate_hz, records=records["controller"])
         self.inner = None
         if controller is not None:
-            self.inner = InnerLoop(made(controller, rate_hz, nominal or first), records)
+            self.inner = InnerLoop(made_controller(controller, rate_hz, nominal or first), records)
         self.imu = None if imu is None else ImuStream(imu, n, rate_hz, seed, records["imu"])
         self.plans = np.zeros((n, 1), PLAN) if plans is None else plans
         self.log = np.zeros((n, 0), state_dtype(len(first.rotors))) if log is None else log

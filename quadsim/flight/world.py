@@ -10,7 +10,7 @@ from ..control.records import MEASURED, SET_POINT, controller_dtype
 from ..external import deliver
 from ..imu.kernel import GYRO, IMU, SENSORS, measure
 from ..motion.rotors import vehicle_dtype
-from ..plant import fly, update_truth
+from ..plant import move_freely, update_truth
 from ..runs.compiled import njit
 
 FLYING, TILTED, GROUNDED, OUT_OF_BOUNDS, DIVERGED = range(5)
@@ -154,7 +154,7 @@ def step(level, loops, plans, samples, substeps, noise, at, logs, externals, err
         for _ in range(samples):
             if substeps > 0:
                 start_one(level, loop)
-                fly(loop.vehicle, substeps)
+                move_freely(loop.vehicle, substeps)
             sense_one(loop, plans[i], noise[min(i, noise.shape[0] - 1)], at, x, logs[i])
             if externals.shape[0] > 0:
                 spent += deliver(externals[i], errors[i], queues[i], loop.measured)

@@ -1,6 +1,6 @@
 """Identification of a vehicle's constants from flights."""
 
 from .fit import Identified, identify
-from .signals import Flight, flights_of
+from .signals import Flight, signals_of
 
-__all__ = ["Flight", "Identified", "flights_of", "identify"]
+__all__ = ["Flight", "Identified", "identify", "signals_of"]

@@ -15,7 +15,7 @@ from ..runs.console import print_table, say
 from ..runs.files import save_figure, write_whole
 from ..vehicle import Vehicle, load_vehicle
 from .fit import NO_FLIGHT, Identified, identify
-from .signals import flights_of
+from .signals import signals_of
 
 SHOWN_S = 10.0
 """Duration of the part that is drawn [s]."""
@@ -34,7 +34,7 @@ def identify_files(files: Sequence[Path], vehicle: str, out: Path, rate_hz: floa
     flights = []
     for file in files:
         data = open_dataset(file) if file.suffix == ".zarr" else read_log(file, rate_hz, mount=mount)
-        turning = [flight for flight in flights_of(data) if flight.has_rotors]
+        turning = [flight for flight in signals_of(data) if flight.has_rotors]
         if not turning:
             say(f"{file}: {NO_FLIGHT}, left out", "yellow")
         flights += turning

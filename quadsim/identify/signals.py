@@ -47,7 +47,7 @@ class Flight(NamedTuple):
         return Flight(self.rate_hz, *(None if each is None else each[start:end] for each in self[1:]))  # pyright: ignore
 
 
-def flights_of(data: xr.Dataset) -> list[Flight]:
+def signals_of(data: xr.Dataset) -> list[Flight]:
     """Return the signals of each flight of a dataset or of a log from `read_log`.
 
     Only the longest part of a flight without a missing sample is used. The velocity is that of the data or,

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import xarray as xr
 
-from .cleaning import split
+from .cleaning import split_at_gaps
 from .log_report import LogReport
 from .readers.blackbox import read_blackbox
 from .readers.broad import read_broad
@@ -77,7 +77,7 @@ def read_parts(log: Recording, rate_hz: float = 200.0) -> list[xr.Dataset]:
 
     Short parts are dropped.
     """
-    parts = split(log)
+    parts = split_at_gaps(log)
     names = [log.name if len(parts) == 1 else f"{log.name}, part {k + 1}" for k in range(len(parts))]
     return [resample(replace(part, name=name), rate_hz)[0] for part, name in zip(parts, names, strict=True)]
 

@@ -228,7 +228,7 @@ def _fitted(signal: Array, rate_hz: float) -> tuple[float, float, float, bool, A
     return noise, walk, tau, tau < 0.9 * longest, *curve
 
 
-def draw(calibration: Calibration) -> Figure:
+def draw_allan(calibration: Calibration) -> Figure:
     """Draw the measured and the fitted Allan deviation of both sensors."""
     figure = Figure(figsize=(9, 3.8), layout="constrained")
     for axes, found in zip(figure.subplots(1, 2), (calibration.gyro, calibration.accel), strict=True):
@@ -244,7 +244,7 @@ def draw(calibration: Calibration) -> Figure:
 def show_calibration(found: Calibration, out: Path) -> None:
     """Print a calibration, and write the IMU file and a picture."""
     write_imu(found, out)
-    save_figure(out.with_suffix(".png"), draw(found), dpi=130)
+    save_figure(out.with_suffix(".png"), draw_allan(found), dpi=130)
     rows = []
     for each, seen in ((found.gyro, ""), (found.accel, ", along gravity")):
         walk, tau = "-", "-"

@@ -37,7 +37,7 @@ def longest_part(log: Recording) -> tuple[Recording, dict[str, float]]:
     if back.sum() > CLEAN.unsorted * back.size:
         share = f"{100 * back.mean():.0f} %"
         raise ValueError(f"{log.name}: {share} of the stamps go back: sort the rows by time")
-    parts = split(log)
+    parts = split_at_gaps(log)
     longest = max(parts, key=lambda part: part.time.size)
     readings = np.concatenate([longest.gyro, longest.accel], axis=1)
     finite = np.isfinite(readings).all(axis=1)
@@ -69,7 +69,7 @@ def longest_part(log: Recording) -> tuple[Recording, dict[str, float]]:
     }
 
 
-def split(log: Recording) -> list[Recording]:
+def split_at_gaps(log: Recording) -> list[Recording]:
     """Split a recording at gaps of more than `LONGEST_GAP_S`; the parts are in the order of the log.
 
     Samples whose stamps are far from those on both sides are dropped, so that a single clock error does not
@@ -124,7 +124,7 @@ def least_steps(readings: Array) -> Array:
     return np.where(steps > 0, steps, np.inf).min(axis=0)
 
 
-def held(readings: Array, least: int) -> NDArray[np.int64]:
+def frozen_stretches(readings: Array, least: int) -> NDArray[np.int64]:
     """Return first sample and end of each run of at least `least` equal readings (T, ·).
 
     There are none if all readings are equal.
@@ -144,9 +144,9 @@ def stuck_samples(readings: Array, period: float) -> NDArray[np.bool_]:
         sensor, other = readings[:, first : first + 3], readings[:, 3 - first : 6 - first]
         limits = CLEAN.moves * least_steps(sensor)
         for k in range(3):
-            for start, end in held(sensor[:, [k]], least):
+            for start, end in frozen_stretches(sensor[:, [k]], least):
                 stuck[start:end, first + k] = (sensor[start:end].std(axis=0) > limits).any()
-        for start, end in held(sensor, least):
+        for start, end in frozen_stretches(sensor, least):
             if np.linalg.norm(other[start:end].std(axis=0)) > moves:
                 stuck[start:end, first : first + 3] = True
     return stuck

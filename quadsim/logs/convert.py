@@ -64,7 +64,7 @@ def convert(logs: Sequence[xr.Dataset], out: Path, piece_s: float = 20.0) -> Pat
         folder = partial_folder(out)
         shutil.rmtree(folder, ignore_errors=True)
         out.parent.mkdir(parents=True, exist_ok=True)
-        dataset_store.begin(folder, plan)
+        dataset_store.lay_out(folder, plan)
         for number, piece in enumerate(pieces):
             values = {name: np.zeros((1, steps, WIDTH[name]), "<f4") for name in VARIABLES}
             for name in held:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter, uniform_filter1d
 
 from ..dataset.stretches import blocks_of, stretches
-from .cleaning import held, least_steps
+from .cleaning import frozen_stretches, least_steps
 from .recording import Array
 from .thresholds import CLEAN, FAULT
 from .truth import LONG_S, bias_over_time
@@ -238,7 +238,7 @@ def _clipped(
     """Return first sample, end and total time [s] of the parts of an axis (T,) clipped at an upper limit."""
     near, least = FAULT.near * least_steps(values[:, None])[0], CLEAN.moves * least_steps(sensor)
     frozen = np.append((sensor[1:] == sensor[:-1]).all(axis=1), False)
-    starts = held(values[:, None], max(round(FAULT.run_s / period), 2))[:, 0]
+    starts = frozen_stretches(values[:, None], max(round(FAULT.run_s / period), 2))[:, 0]
     levels, counts = np.unique(values, return_counts=True)
     often = levels[counts * period >= FAULT.clipped_s]
     limits = np.intersect1d(values[starts[~frozen[starts]]], often)

@@ -94,7 +94,7 @@ def acceleration(p, q):
 
 
 @njit(cache=True)
-def advance(p):
+def advance_body(p):
     """Move one body by one step with a force and a moment that are constant in body axes.
 
     Args:

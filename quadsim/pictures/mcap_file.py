@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .timeline import BODY, Array, Spikes, Timeline, outline, styles
+from .timeline import BODY, Array, SpikeRaster, Timeline, outline, styles
 
 Json = dict[str, Any]
 IMU, SCENE = "sensor_msgs/Imu", "foxglove.SceneUpdate"
@@ -28,7 +28,7 @@ LINE |= {"colors": [], "indices": []}
 JSON_TYPES = {bool: "boolean", int: "integer", float: "number", str: "string"}
 
 
-class Topic(NamedTuple):
+class McapChannel(NamedTuple):
     """All messages of a topic."""
 
     name: str
@@ -48,7 +48,7 @@ class Topic(NamedTuple):
         return heads.get(self.schema, {"timestamp": stamp}) | content
 
 
-def write(path: Path, timeline: Timeline) -> None:
+def write_mcap(path: Path, timeline: Timeline) -> None:
     """Write an MCAP file whose time starts at 0 s.
 
     Args:
@@ -71,32 +71,32 @@ def write(path: Path, timeline: Timeline) -> None:
         writer.finish()
 
 
-def _topics(timeline: Timeline) -> Iterator[Topic]:
-    yield Topic("/scene", SCENE, timeline.time[:1], [_scene(timeline)])
+def _topics(timeline: Timeline) -> Iterator[McapChannel]:
+    yield McapChannel("/scene", SCENE, timeline.time[:1], [_scene(timeline)])
     for name, quat in timeline.poses.items():
         known = np.isfinite(np.hstack([timeline.position, quat])).all(axis=1)
         time, frames = timeline.time[known], {"parent_frame_id": "world", "child_frame_id": name}
         poses = list(zip(_rows("xyz", timeline.position[known]), _rows("wxyz", quat[known]), strict=True))
         moves = [frames | {"translation": at, "rotation": turn} for at, turn in poses]
-        yield Topic(f"/frames/{_plain(name)}", "foxglove.FrameTransform", time, moves)
+        yield McapChannel(f"/frames/{_plain(name)}", "foxglove.FrameTransform", time, moves)
         if name == BODY:
             true = [
                 {"frame_id": "world", "pose": {"position": at, "orientation": turn}} for at, turn in poses
             ]
-            yield Topic("/body", "foxglove.PoseInFrame", time, true)
+            yield McapChannel("/body", "foxglove.PoseInFrame", time, true)
     known = np.isfinite(np.hstack([timeline.gyro, timeline.accel])).all(axis=1)
     readings = zip(_rows("xyz", timeline.gyro[known]), _rows("xyz", timeline.accel[known]), strict=True)
     unknown = {"orientation": AT_ORIGIN["orientation"], "orientation_covariance": NO_ORIENTATION}
     samples = [unknown | {"angular_velocity": rate, "linear_acceleration": force} for rate, force in readings]
-    yield Topic("/imu", IMU, timeline.time[known], samples)
+    yield McapChannel("/imu", IMU, timeline.time[known], samples)
     for name, trace in timeline.traces.items():
         rows = _rows(map(_plain, trace.curves), np.stack(list(trace.curves.values()), axis=1))
-        yield Topic(f"/traces/{_plain(name)}", f"{name} [{trace.unit}]", timeline.time, rows)
+        yield McapChannel(f"/traces/{_plain(name)}", f"{name} [{trace.unit}]", timeline.time, rows)
     if timeline.spikes:
         yield _spikes(timeline.spikes)
 
 
-def _spikes(populations: Mapping[str, Spikes]) -> Topic:
+def _spikes(populations: Mapping[str, SpikeRaster]) -> McapChannel:
     steps = np.unique(np.concatenate([spikes.time for spikes in populations.values()]))
     rows: list[Json] = [{} for _ in steps]
     for name, (time, neuron) in populations.items():
@@ -104,7 +104,7 @@ def _spikes(populations: Mapping[str, Spikes]) -> Topic:
         parts = np.split(neuron, first[1:])
         for k, part in zip(np.searchsorted(steps, at), parts, strict=True):
             rows[k][_plain(name)] = part.tolist()
-    return Topic("/spikes", "spikes", steps, rows)
+    return McapChannel("/spikes", "spikes", steps, rows)
 
 
 def _scene(timeline: Timeline) -> Json:

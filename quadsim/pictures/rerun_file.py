@@ -16,7 +16,7 @@ ROWS = ("roll", "error of roll"), ("pitch", "error of pitch")
 """Traces that are shown side by side; the others are in tabs."""
 
 
-def write(path: Path, timeline: Timeline) -> None:
+def write_rerun(path: Path, timeline: Timeline) -> None:
     """Write a recording, whose timeline `time` starts at 0 s.
 
     Args:

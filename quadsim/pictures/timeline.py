@@ -34,7 +34,7 @@ class Trace(NamedTuple):
     """Curves by label, (T,) each; NaN where there is no value."""
 
 
-class Spikes(NamedTuple):
+class SpikeRaster(NamedTuple):
     """Spikes of a population of neurons, in order of time."""
 
     time: Array
@@ -64,7 +64,7 @@ class Timeline:
     """Set-point in the world (T, 3) [m]."""
     wind: Array | None = None
     """Wind in world axes (T, 3) [m/s]."""
-    spikes: Mapping[str, Spikes] = field(default_factory=dict)
+    spikes: Mapping[str, SpikeRaster] = field(default_factory=dict)
     """Spikes of spiking networks by population; no population is empty."""
 
 

@@ -19,7 +19,7 @@ from quadsim.flight.world import CAUSES
 from quadsim.vehicle import load_vehicle
 
 from .controllers import controller_of, estimator_of
-from .flight_log import Flown, fly
+from .flight_log import Flown, fly_mission
 from .flight_metrics import error_histogram, flight_metrics
 from .flight_series import FlightSeries, pack_series
 
@@ -80,7 +80,7 @@ def fly_cell(name: str, scenario: Scenario, estimator: str, settings: FlightSett
     try:
         tuning = tuning_of(estimator, settings.tuning)
         mission = mission_of(scenario, estimator, replace(settings, tuning=tuning))
-        cell = make_cell(name, estimator, mission, fly(mission, settings.seed))
+        cell = make_cell(name, estimator, mission, fly_mission(mission, settings.seed))
         return replace(cell, cpu_s=round(time.thread_time() - began, 3))
     except (Exception, SystemExit) as error:  # whatever an estimator does, the other cells continue
         kind = "" if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: "

@@ -116,7 +116,7 @@ class Experiment(Strict):
         if self.held_out:
             if scenarios:
                 raise ValueError("the held-out suite has scenarios of its own: leave --scenario out")
-            return draw(load_held_out(self.release), self.axes)
+            return draw_scenarios(load_held_out(self.release), self.axes)
         if self.sweeps and scenarios is None:
             return {
                 f"{name}={level:g}": Case(sweep.at(level), {name: f"{level:g} {sweep.unit}".rstrip()})
@@ -215,7 +215,7 @@ DURATION_S = 20.0
 HEIGHT_M = 12.0
 
 
-def draw(held_out: HeldOut, axes: Mapping[str, Mapping[str, Any]]) -> dict[str, Case]:
+def draw_scenarios(held_out: HeldOut, axes: Mapping[str, Mapping[str, Any]]) -> dict[str, Case]:
     """Draw the scenarios of a held-out suite, with their levels."""
     width = len(str(held_out.scenarios - 1))
     return {

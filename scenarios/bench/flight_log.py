@@ -56,7 +56,7 @@ def log_dtype(rotors: int) -> np.dtype[np.void]:
     )
 
 
-def fly(mission: Mission, seed: int, first: int = 0, *, every_sample: bool = False) -> Flown:
+def fly_mission(mission: Mission, seed: int, first: int = 0, *, every_sample: bool = False) -> Flown:
     """Simulate a mission, whose flights have the numbers `first`, `first` + 1, ... of the seed.
 
     Signals are recorded at `SERIES_HZ` or at every sample. An estimator with a `close` is always closed at

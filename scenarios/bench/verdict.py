@@ -125,7 +125,7 @@ def said(name: str, measure: Measure) -> str:
     return f"{'the cascade' if controller == CASCADED else controller} on {estimator_of(name)}"
 
 
-def shown(error_deg: float | None) -> str:
+def error_text(error_deg: float | None) -> str:
     """Format an error."""
     return "not measured" if error_deg is None or math.isinf(error_deg) else f"{error_deg:.2f}°"
 
@@ -188,7 +188,7 @@ def _worst(results: Results, name: str, measure: Measure) -> str:
     axis, row = max(flown, key=lambda each: (each[1].crash_rate, getattr(each[1], measure.key) or 0.0))
     level = row.scenario if axis == "scenario" else f"{axis}: {row.scenario}"
     crashes = f"{row.crashes} of {row.flights} crashed, " if row.crashes else ""
-    return f"{level}, {crashes}{shown(getattr(row, measure.key))}"
+    return f"{level}, {crashes}{error_text(getattr(row, measure.key))}"
 
 
 # --- the sentence ---------------------------------------------------------------------------------
@@ -274,7 +274,7 @@ def outcome(best: Sequence[Place], measure: Measure) -> str:
     first, errors = best[0], [place.error for place in best]
     text = first.fate + (" each" if len(best) > 1 else "")
     if first.survived:
-        text += f", {measure.name} {' to '.join(dict.fromkeys(shown(f(errors)) for f in (min, max)))}"
+        text += f", {measure.name} {' to '.join(dict.fromkeys(error_text(f(errors)) for f in (min, max)))}"
         text += "" if first.whole else " in the others"
     return text + ("; the difference is not significant" if len(best) > 1 else "")
 

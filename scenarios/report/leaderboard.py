@@ -35,7 +35,7 @@ FOOTER = (
 )
 
 
-class Cell(NamedTuple):
+class TableCell(NamedTuple):
     """A cell of the table."""
 
     text: str
@@ -43,7 +43,7 @@ class Cell(NamedTuple):
     title: str = ""
 
 
-NONE = Cell("–", None)
+NONE = TableCell("–", None)
 
 
 def find_entries(folders: Sequence[Path]) -> list[Entry]:
@@ -88,7 +88,7 @@ def write_leaderboard(path: Path, entries: Sequence[Entry]) -> Path:
 
 def _board(title: str, entries: Sequence[Entry]) -> dict[str, Any]:
     """The tables of all tracks, and pictures of the entries that are ranked."""
-    flights = flights_of(entries)
+    flights = closed_loop_flights(entries)
     names = [each.card.name for each in entries if not each.reasons]
     pictures = {"Performance profile": profile(flights, names), "Error and cost": fronts(entries)}
     return {
@@ -98,7 +98,7 @@ def _board(title: str, entries: Sequence[Entry]) -> dict[str, Any]:
     }
 
 
-def flights_of(entries: Sequence[Entry]) -> pd.DataFrame:
+def closed_loop_flights(entries: Sequence[Entry]) -> pd.DataFrame:
     """Return the closed-loop flights of entries, one row per flight."""
     rows = [{"estimator": each.card.name, **asdict(flight)} for each in entries for flight in each.flights]
     columns = ["estimator", "scenario", "seed", "cause", "flown_s", ERROR]
@@ -134,10 +134,10 @@ def _track(track: str, entries: Sequence[Entry], flights: pd.DataFrame) -> dict[
         if name in order and not leads:
             wins = improvement(flights, name, order[0])
             low, high = wins.mean_interval()
-            better = Cell(f"{100 * wins.mean:.0f} % ({100 * low:.0f}–{100 * high:.0f})", wins.mean)
+            better = TableCell(f"{100 * wins.mean:.0f} % ({100 * low:.0f}–{100 * high:.0f})", wins.mean)
         rank = order.index(name) + 1 if name in order else None
         cells = {
-            "rank": Cell(str(rank), float(rank)) if rank else NONE,
+            "rank": TableCell(str(rank), float(rank)) if rank else NONE,
             "crashed": _crash_cell(entry),
             "error in closed loop [°]": _mean_cell(loop_errors(entry)),
             "better than the leader": better,
@@ -149,12 +149,12 @@ def _track(track: str, entries: Sequence[Entry], flights: pd.DataFrame) -> dict[
     return {"name": track, "rows": rows, "headings": headings}
 
 
-def _crash_cell(entry: Entry) -> Cell:
+def _crash_cell(entry: Entry) -> TableCell:
     flown, crashes = len(entry.flights), sum(flight.cause != "" for flight in entry.flights)
     if not flown:
         return NONE
     low, high = wilson(crashes, flown)
-    return Cell(f"{crashes} of {flown} ({100 * low:.1f}–{100 * high:.1f}\u00a0%)", crashes / flown)
+    return TableCell(f"{crashes} of {flown} ({100 * low:.1f}–{100 * high:.1f}\u00a0%)", crashes / flown)
 
 
 def loop_errors(entry: Entry) -> Summary | None:
@@ -162,30 +162,30 @@ def loop_errors(entry: Entry) -> Summary | None:
 
     The error is None if all flights crashed.
     """
-    survived: Any = flights_of([entry]).query("cause == ''").groupby("scenario", sort=False)
+    survived: Any = closed_loop_flights([entry]).query("cause == ''").groupby("scenario", sort=False)
     means = survived[ERROR].mean().dropna().to_numpy()
     return Summary(means) if means.size else None
 
 
-def _mean_cell(errors: Summary | None, title: str = "") -> Cell:
+def _mean_cell(errors: Summary | None, title: str = "") -> TableCell:
     if errors is None:
-        return Cell("–", None, title)
+        return TableCell("–", None, title)
     low, high = errors.mean_interval()
-    return Cell(f"{errors.mean:.2f} ({low:.2f}–{high:.2f})", errors.mean, title)
+    return TableCell(f"{errors.mean:.2f} ({low:.2f}–{high:.2f})", errors.mean, title)
 
 
-def _cost_cells(entry: Entry) -> dict[str, Cell]:
+def _cost_cells(entry: Entry) -> dict[str, TableCell]:
     cost = entry.cost
     if cost is None:
         return {}
     found = {
-        "time [µs]": Cell(f"{cost.ns / 1e3:.1f}", cost.ns),
-        "memory [kB]": Cell(f"{cost.footprint / 1e3:.1f}", cost.footprint),
-        "parameters": Cell(str(entry.card.parameter_count), entry.card.parameter_count),
+        "time [µs]": TableCell(f"{cost.ns / 1e3:.1f}", cost.ns),
+        "memory [kB]": TableCell(f"{cost.footprint / 1e3:.1f}", cost.footprint),
+        "parameters": TableCell(str(entry.card.parameter_count), entry.card.parameter_count),
     }
     for heading, value in {"operations": cost.operations, "energy [nJ]": cost.nanojoules}.items():
         text = "–" if value is None else f"{value:.3g}" if value < 1000 else f"{value:.0f}"
-        found[heading] = Cell(text, value, cost.model)
+        found[heading] = TableCell(text, value, cost.model)
     return found
 
 

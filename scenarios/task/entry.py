@@ -68,7 +68,7 @@ class Card:
 
 
 @dataclass(frozen=True)
-class Cost:
+class SampleCost:
     """Cost of a sample of one vehicle."""
 
     ns: float
@@ -128,7 +128,7 @@ class Entry:
     data: dict[str, str]
     """Digests of the parts' data."""
     card: Card
-    cost: Cost | None
+    cost: SampleCost | None
     parts: dict[str, PartScore]
     flights: tuple[LoopFlight, ...]
     """Flights in closed loop; empty if it was not flown."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from estimators import create
 from estimators.analysis.activity import record
-from estimators.analysis.circuit import measured
+from estimators.analysis.circuit import measure_circuit
 from estimators.analysis.energy import FLOAT_PICOJOULES, costs, counts
 from estimators.checking import check_estimator
 from estimators.circuit.file import is_circuit, load_circuit
@@ -25,10 +25,10 @@ from estimators.networks.weights_file import load_network
 from quadsim.estimator import AttitudeEstimator, receives_truth
 from quadsim.own import named_errors
 
-from .data import groups
-from .entry import Card, Cost, is_network
+from .entry import Card, SampleCost, is_network
 from .operations import counted_operations
 from .specification import Task
+from .task_data import groups
 
 TIMED = 1000
 """Number of timed samples."""
@@ -49,7 +49,7 @@ _hooked: list[bool] = []
 class Examined(NamedTuple):
     """Result of the examination of an entry."""
 
-    cost: Cost | None
+    cost: SampleCost | None
     reasons: tuple[str, ...]
     runs: bool  #: whether it may run on the parts
 
@@ -74,7 +74,7 @@ def examine(task: Task, card: Card, folder: Path) -> Examined:
     return Examined(cost, (*reasons, *opened_files(opened)), passed)
 
 
-def cost_of(card: Card, made: AttitudeEstimator, flights: Flights) -> Cost:
+def cost_of(card: Card, made: AttitudeEstimator, flights: Flights) -> SampleCost:
     """Return the cost of a sample of one vehicle: measured, counted, or stated by the card."""
     one = flights.readings.map(lambda each: each[:1, :TIMED])
     sensors = tuple(name for name in one.others if name in card.given)
@@ -88,7 +88,7 @@ def cost_of(card: Card, made: AttitudeEstimator, flights: Flights) -> Cost:
         sample.give(made.update, sensors)
         taken.append(time.perf_counter_ns() - begin)
     operations, nanojoules, model = energy_of(card, flights)
-    return Cost(
+    return SampleCost(
         ns=float(np.median(taken)),
         footprint=footprint(made),
         operations=operations,
@@ -105,7 +105,7 @@ def energy_of(card: Card, flights: Flights) -> tuple[float | None, float | None,
         piece = flights.map(lambda each: each[:1, : round(CHIP_S * flights.rate_hz)])
         if is_circuit(source):
             config, parameters = load_circuit(source)
-            found = measured(config, parameters, piece)
+            found = measure_circuit(config, parameters, piece)
             steps = config.steps_per_sample
             return found.synaptic_events * steps, found.nanojoules * steps, chip
         config, tensors = load_network(source)

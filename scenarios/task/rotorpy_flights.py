@@ -53,7 +53,7 @@ RECORDED = {
 """Arrays of a flight and their names in RotorPy's state; the acceleration is in world axes."""
 
 
-class Plan(NamedTuple):
+class RotorpyPlan(NamedTuple):
     """Parameters of a flight."""
 
     airframe: str
@@ -65,13 +65,13 @@ class Plan(NamedTuple):
     """Seed of path, wind and IMU."""
 
 
-def plans(airframe: str, seed: int) -> tuple[Plan, ...]:
+def plans(airframe: str, seed: int) -> tuple[RotorpyPlan, ...]:
     """Return four flights of an airframe: two paths in two winds, with consecutive seeds."""
     return (
-        Plan(airframe, "lissajous", "sinusoid", 0.0, seed),
-        Plan(airframe, "lissajous", "dryden", 0.3, seed + 1),
-        Plan(airframe, "waypoints", "sinusoid", -0.2, seed + 2),
-        Plan(airframe, "waypoints", "dryden", 0.0, seed + 3),
+        RotorpyPlan(airframe, "lissajous", "sinusoid", 0.0, seed),
+        RotorpyPlan(airframe, "lissajous", "dryden", 0.3, seed + 1),
+        RotorpyPlan(airframe, "waypoints", "sinusoid", -0.2, seed + 2),
+        RotorpyPlan(airframe, "waypoints", "dryden", 0.0, seed + 3),
     )
 
 
@@ -92,7 +92,7 @@ def waypoints(rng: np.random.Generator, duration_s: float) -> Any:
     return MinSnap(np.array(points), v_avg=speed, v_max=3.0 * speed, verbose=False)  # pyright: ignore
 
 
-def wind_of(plan: Plan, rng: np.random.Generator) -> Any:
+def wind_of(plan: RotorpyPlan, rng: np.random.Generator) -> Any:
     """Make RotorPy's sinusoids of up to 3 m/s and 0.3 Hz, or its Dryden turbulence around a mean wind.
 
     The noise of RotorPy's turbulence does not depend on the step: at 200 Hz, the standard deviation is about
@@ -105,7 +105,9 @@ def wind_of(plan: Plan, rng: np.random.Generator) -> Any:
     return DrydenGust(dt=1.0 / RATE_HZ, avg_wind=mean, sig_wind=np.array([100.0, 100.0, 50.0]), altitude=5.0)
 
 
-def fly(plan: Plan, duration_s: float = DURATION_S, warmup_s: float = WARMUP_S) -> dict[str, Array]:
+def fly_plan(
+    plan: RotorpyPlan, duration_s: float = DURATION_S, warmup_s: float = WARMUP_S
+) -> dict[str, Array]:
     """Simulate a flight with RotorPy at 200 Hz, from hover at the start of its path.
 
     Args:
@@ -173,20 +175,20 @@ def vehicle(airframe: str) -> Vehicle:
     )
 
 
-def stored(plan: Plan, file: Path, duration_s: float = DURATION_S) -> dict[str, Array]:
+def stored(plan: RotorpyPlan, file: Path, duration_s: float = DURATION_S) -> dict[str, Array]:
     """Load a flight from its file; simulate it if the file is missing or was made by another plan or code."""
     digest = fingerprint(plan, duration_s, version("rotorpy"), file_digest(Path(__file__)))
     if file.is_file():
         with np.load(file) as found:
             if str(found["digest"]) == digest:
                 return {name: found[name] for name in found.files if name != "digest"}
-    flown = fly(plan, duration_s)
+    flown = fly_plan(plan, duration_s)
     replace(file, lambda part: np.savez_compressed(part, digest=digest, **flown))  # pyright: ignore
     return flown
 
 
 def rotorpy_flights(
-    planned: Sequence[Plan],
+    planned: Sequence[RotorpyPlan],
     folder: Path,
     imu: ImuSpec,
     duration_s: float = DURATION_S,

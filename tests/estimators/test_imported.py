@@ -11,9 +11,9 @@ from estimators.analysis.energy import counts
 from estimators.analysis.imported import (
     agreement,
     encoded_inputs,
+    float_activity,
     on_chip,
     run_chip,
-    run_floats,
 )
 from estimators.control.controller import set_point_gain
 from estimators.export.chip_network import mantissas
@@ -52,7 +52,7 @@ def test_an_snntorch_network_spikes_the_same_in_our_floats(tmp_path):
     network = snntorch_layers()
     layers = layers_of(through(tmp_path / "a.nir", snntorch_graph(network, (1, 4, 5))), 1e-4)
     x = spikes(300, 20)
-    floats, _ = run_floats(layers, x, False)
+    floats, _ = float_activity(layers, x, False)
     with torch.no_grad():
         expected = np.array([network(each.reshape(1, 4, 5))[0].numpy()[0] for each in delivered(x)])
     assert 0.02 < expected.mean() < 0.9
@@ -64,7 +64,7 @@ def test_a_recurrent_snntorch_network_spikes_the_same_in_our_floats(tmp_path):
     layers = layers_of(through(tmp_path / "a.nir", snntorch_graph(network)), 1e-4)
     assert all(layer.w_rec.any() for layer in layers)
     x = spikes(300, 20)
-    floats, _ = run_floats(layers, x, False)
+    floats, _ = float_activity(layers, x, False)
     first, second = [], []
     with torch.no_grad():
         for each in delivered(x):
@@ -85,7 +85,7 @@ def test_a_norse_network_spikes_the_same_in_our_floats(tmp_path, exported, dt):
     graph = norse.to_nir(network, torch.rand(1, 20), dt=exported)
     layers = layers_of(through(tmp_path / "a.nir", graph), dt)
     x = spikes(300, 20)
-    floats, _ = run_floats(layers, x, False)
+    floats, _ = float_activity(layers, x, False)
     state = [None, None]
     hidden, outputs = [], []
     with torch.no_grad():
@@ -115,7 +115,7 @@ def test_norses_importer_runs_a_graph_with_synapses_as_our_floats_do(tmp_path):
         for each in delivered(x):
             z, state = network(each[None], state)
             expected.append(z.numpy()[0])
-    floats, _ = run_floats(layers_of(through(tmp_path / "a.nir", graph), 1e-3), x, False)
+    floats, _ = float_activity(layers_of(through(tmp_path / "a.nir", graph), 1e-3), x, False)
     assert 0.02 < np.mean(expected) < 0.9
     np.testing.assert_array_equal(floats.spikes[0], expected)
 
@@ -172,7 +172,7 @@ def test_scales_leave_room_in_sums_currents_and_potentials():
         chip = LoihiNetwork(network.layers)
         for each in x[0]:
             chip.step(each[None])
-        _, peaks = run_floats(layers, x, False)
+        _, peaks = float_activity(layers, x, False)
         assert np.abs(chip.u[0]).max() <= 1.1 * network.ones[0] * peaks[0].u + 300 <= 1 << 22
         assert 4 * peaks[0].arriving * network.ones[0] <= 1 << 21
 
@@ -182,7 +182,7 @@ def test_a_rest_that_is_not_zero_only_shifts_potentials():
     r = 4.0 * np.ones(8)
     plain = layers_of(graph_of(r=r), 1e-4)
     moved = layers_of(graph_of(r=r, v_leak=level, v_reset=level, v_threshold=1.0 + level), 1e-4)
-    a, b = (run_floats(each, x, False)[0].spikes for each in (plain, moved))
+    a, b = (float_activity(each, x, False)[0].spikes for each in (plain, moved))
     assert a.mean() > 0.02
     np.testing.assert_array_equal(a, b)
 

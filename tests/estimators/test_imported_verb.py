@@ -8,8 +8,8 @@ from safetensors.numpy import load_file
 
 from estimators.analysis.imported import (
     ImportSettings,
+    float_activity,
     import_nir,
-    run_floats,
 )
 from estimators.export.chip_network import quantise
 from estimators.loihi import LoihiLayer, LoihiNetwork
@@ -141,6 +141,6 @@ def test_files_that_are_none_or_damaged_are_refused(tmp_path):
 
 def test_a_scale_that_does_not_suit_is_refused():
     layers = layers_of(graph_of(), 1e-4)
-    _, peaks = run_floats(layers, spikes(20, 8), False)
+    _, peaks = float_activity(layers, spikes(20, 8), False)
     with pytest.raises(ValueError, match='node "lif": bias_mant: value'):
         quantise([layers[0]._replace(bias=np.full(8, 1e6))], peaks, one=2.0**14)

@@ -18,17 +18,17 @@ from estimators.networks.layer_parameters import EXPONENTS, Weights
 from estimators.networks.network import NetworkEstimator, create_network, silenced
 from estimators.networks.weights_file import (
     NetworkConfig,
-    expected_shapes,
     load_network,
-    parameters,
+    parameter_count,
     save_network,
+    tensor_shapes,
 )
 from quadsim.estimator import rows_of
 
 
 def random_rnn(config, seed=0):
     rng = np.random.default_rng(seed)
-    return {k: rng.normal(0, 0.2, s).astype(np.float32) for k, s in expected_shapes(config).items()}
+    return {k: rng.normal(0, 0.2, s).astype(np.float32) for k, s in tensor_shapes(config).items()}
 
 
 SNN, RNN = NetworkConfig(model="att-snn", output_scale=1 / 256), NetworkConfig(model="att-rnn")
@@ -143,7 +143,7 @@ def test_gru_equals_torch(tmp_path, units):
 
 
 def test_the_network_by_the_papers_recipe_has_at_most_its_size():
-    assert parameters(load_network("att-snn-paper").tensors) <= 21202
+    assert parameter_count(load_network("att-snn-paper").tensors) <= 21202
 
 
 def test_bad_files_give_one_clear_line(tmp_path, snn_file, rnn_file):
@@ -190,7 +190,7 @@ def test_bad_files_give_one_clear_line(tmp_path, snn_file, rnn_file):
 )
 def test_declared_shapes_and_types_are_refused_before_a_number_is_read(tmp_path, changes, message):
     config = NetworkConfig(model="att-snn")
-    tensors = {name: ("I16", list(shape)) for name, shape in expected_shapes(config).items()} | changes
+    tensors = {name: ("I16", list(shape)) for name, shape in tensor_shapes(config).items()} | changes
     header: dict[str, object] = {"__metadata__": {"format": "3", "config": config.model_dump_json()}}
     end = 0
     for name, (kind, shape) in tensors.items():
@@ -224,7 +224,7 @@ def test_network_in_floats_equals_the_pytorch_loop(tmp_path, delay):
     rng = np.random.default_rng(0)
     tensors = {
         name: rng.normal(0, 0.5, shape) if name.startswith("w_") else rng.uniform(0.3, 0.95, shape)
-        for name, shape in expected_shapes(config).items()
+        for name, shape in tensor_shapes(config).items()
     }
     save_network(tmp_path / "w", config, tensors)
     gyro, accel = samples(2, 100)
@@ -266,5 +266,5 @@ def test_an_exponent_is_a_smaller_step_of_the_weights_into_one_neuron():
     np.testing.assert_array_equal(fine.w_rec, whole.w_rec * 2.0 ** tensors["exp_rec"][:, None])
     np.testing.assert_array_equal(fine.w_out, whole.w_out)
     without = {name: value for name, value in coarse.items() if name not in EXPONENTS.values()}
-    assert parameters(without) == parameters(coarse) == parameters(tensors)
+    assert parameter_count(without) == parameter_count(coarse) == parameter_count(tensors)
     np.testing.assert_array_equal(real_weights(config, without).w_rec, whole.w_rec)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from paper.page.claims import CLAIMS, QUANTITIES, interval, judge, operations, ratio, scatter
+from paper.page.claims import CLAIMS, QUANTITIES, bootstrap_interval, judge_claims, operations, ratio, scatter
 from paper.page.paper_figures import FIGURES
 from paper.plan import CROSS, ITEMS, PRESETS, chosen, sizes_of, stages_of
 from paper.run import paper
@@ -88,7 +88,7 @@ def test_seeds_of_the_held_out_suite_are_refused_at_once():
 
 def test_a_training_too_short_for_the_scatter_is_said_so():
     short = {name: {"val_mse": [1.0] * 30} for name in ("net-snn", "net-rnn")}
-    (found,) = (each for each in judge(short) if "noisier" in each.claim)
+    (found,) = (each for each in judge_claims(short) if "noisier" in each.claim)
     assert (found.verdict, found.measured) == ("not judged", "the measure needs trainings of 62 epochs")
 
 
@@ -116,7 +116,7 @@ def test_the_page_shows_every_item_in_their_order():
 
 
 def test_claims_and_figures_are_of_items():
-    assert {claim.item for claim in judge({})} <= set(ITEMS)
+    assert {claim.item for claim in judge_claims({})} <= set(ITEMS)
     assert set(FIGURES) <= set(ITEMS)
     assert {each["quantity"] for each in CLAIMS["claim"]} == set(QUANTITIES)
 
@@ -214,11 +214,11 @@ JUDGED = {
     [(claim, verdict, numbers) for claim, each in JUDGED.items() for verdict, numbers in each.items()],
 )
 def test_a_claim_is_judged_from_the_numbers(claim, verdict, numbers):
-    (found,) = (each for each in judge(numbers) if claim in each.claim)
+    (found,) = (each for each in judge_claims(numbers) if claim in each.claim)
     assert found.verdict == verdict
     assert found.measured
-    assert {each.verdict for each in judge({})} == {"not judged"}
-    assert {each.verdict for each in judge(numbers, judges=False)} == {"not judged"}
+    assert {each.verdict for each in judge_claims({})} == {"not judged"}
+    assert {each.verdict for each in judge_claims(numbers, judges=False)} == {"not judged"}
 
 
 def test_scatter_is_the_standard_deviation_about_the_moving_average():
@@ -230,7 +230,7 @@ def test_scatter_is_the_standard_deviation_about_the_moving_average():
 def test_an_interval_covers_the_number_as_often_as_it_says():
     rng = np.random.default_rng(1)
     samples = rng.normal(2.0, 1.0, (60, 30))
-    found = [interval(lambda x: float(x.mean()), sample) for sample in samples]
+    found = [bootstrap_interval(lambda x: float(x.mean()), sample) for sample in samples]
     assert 0.86 <= np.mean([each.low < 2.0 < each.high for each in found]) <= 0.98
 
 

@@ -216,7 +216,7 @@ def test_bench_leaves_the_slow_out_and_its_reports_say_how_they_were_made(printe
 def test_ctrl_c_exits_as_interrupted_also_where_a_training_ends_in_order(quadsim, monkeypatch):
     best = SimpleNamespace(epoch=0)
     stopped = SimpleNamespace(best=best, weights="run/best.safetensors", reason=INTERRUPTED, before=None)
-    monkeypatch.setattr("training.epochs.run", lambda *_, **__: stopped)
+    monkeypatch.setattr("training.epochs.train_epochs", lambda *_, **__: stopped)
     code, out, err = quadsim("train", "--preset", "paper", "--data", "data.zarr", "--out", "run")
     assert code == 130
     assert "interrupted; finished work is kept" in err

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 from quadsim.flight.recipe import load_recipe
 from quadsim.flight.scenario import changed
 from quadsim.flight.simulate import simulate_flights
-from quadsim.motion.free_body import advance
+from quadsim.motion.free_body import advance_body
 from quadsim.plant import Plant
 from quadsim.runs.compiled import njit
 from quadsim.seeding import vehicle_seeds
@@ -21,7 +21,7 @@ STATE = ("position", "velocity", "quat", "ang_vel")
 @njit(cache=True)
 def advance_all(vehicles):
     for i in range(vehicles.shape[0]):
-        advance(vehicles[i])
+        advance_body(vehicles[i])
 
 
 def random_bodies(rng, n):

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from level import Level
 
 from quadsim.config.toml import preset_names
-from quadsim.control.cascade import IDLE, Controller, actuate, control
+from quadsim.control.cascade import IDLE, Controller, apply_action, control
 from quadsim.control.gains import loop_margins
 from quadsim.control.records import LEVELS, MEASURED
 from quadsim.flight.loop import FlightLoop
@@ -97,7 +97,7 @@ def test_rotor_commands_stay_within_the_rotors(numbers, level):
 def allocated(vehicle, action):
     """Thrust and torques (4,) of the rotors for angular accelerations and a thrust per mass; rotor speeds."""
     controller = Controller(vehicle, 1)
-    actuate(np.zeros(1, MEASURED)[0], controller.records[0], np.array(action))
+    apply_action(np.zeros(1, MEASURED)[0], controller.records[0], np.array(action))
     speed = controller.rotor_vel_cmd[0]
     return vehicle.allocation @ speed**2, speed
 

@@ -8,7 +8,7 @@ from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
 from quadsim.flight.recipe import load_recipe
 from quadsim.flight.scenario import changed
-from quadsim.identify import flights_of, identify
+from quadsim.identify import identify, signals_of
 from quadsim.identify.model import UNITS, constant, lagged, predicted, with_constants
 from quadsim.vehicle import load_vehicle
 
@@ -26,7 +26,7 @@ def data(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def flights(data):
-    return [flight for path in data for flight in flights_of(open_dataset(path))]
+    return [flight for path in data for flight in signals_of(open_dataset(path))]
 
 
 def unsure(found):
@@ -45,7 +45,7 @@ def test_constants_come_back_within_five_per_cent_from_noisy_flights(flights):
 def test_the_model_is_that_of_the_simulator(data):
     """On true signals of a flight, specific force and angular acceleration are the simulator's own."""
     one = open_dataset(data[0]).isel(flight=0)
-    (flight,) = flights_of(open_dataset(data[0]))
+    (flight,) = signals_of(open_dataset(data[0]))
     exact = flight._replace(gyro=one["ang_vel"].to_numpy().astype(float))
     force = predicted(TRUE, exact, exact.rotor_vel)[:, :3]
     np.testing.assert_allclose(force, one["specific_force"], atol=2e-4)
@@ -61,7 +61,7 @@ def test_what_hover_does_not_tell_keeps_its_value_and_is_named(tmp_path):
     config = changed(load_recipe("hummingbird"), {"trajectory": {"kind": "hover"}, "wind": [breeze]})
     path = generate(config, 1, 12.0, tmp_path / "hover.zarr", seed=1, workers=1)
     start = with_constants(config.vehicle, {"frame.drag_area.2": 0.5})
-    found = identify(flights_of(open_dataset(path)), start)
+    found = identify(signals_of(open_dataset(path)), start)
     assert constant(found.vehicle, "frame.drag_area.2") == 0.5
     assert any(line.startswith("frame.drag_area.2: ") for line in found.missing)
 

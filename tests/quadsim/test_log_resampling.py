@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from sensor import GRAVITY, RATE, consistent, report_of, turned, turning
 
-from quadsim.logs.cleaning import split
+from quadsim.logs.cleaning import split_at_gaps
 from quadsim.logs.recording import Recording, Track
 from quadsim.logs.resample import resample
 
@@ -105,7 +105,7 @@ def test_long_gaps_split_a_log_and_every_part_is_converted():
     assert report.counts["parts"] == 2
     assert dataset.sizes["time"] == 2400
     assert "cut this log into 2 parts" in report.warnings[0]
-    assert [part.time.size for part in split(log)] == [2400, 1600]
+    assert [part.time.size for part in split_at_gaps(log)] == [2400, 1600]
 
 
 def test_doublets_of_stamps_are_one_sample_each():

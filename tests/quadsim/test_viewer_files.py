@@ -11,7 +11,7 @@ from quadsim.logs import read_recording
 from quadsim.pictures.timeline import (
     COLOURS,
     PALETTE,
-    Spikes,
+    SpikeRaster,
     Timeline,
     Trace,
     attitudes,
@@ -23,8 +23,8 @@ from quadsim.pictures.timeline import (
 from quadsim.rotation import euler_from_quat
 from quadsim.vehicle import load_vehicle
 
-GATES = Spikes(np.array([0.00125]), np.array([4]))
-SPIKES = Spikes(np.array([0.0, 0.0, 0.00125, 0.5]), np.array([3, 7, 3, 1]))
+GATES = SpikeRaster(np.array([0.00125]), np.array([4]))
+SPIKES = SpikeRaster(np.array([0.0, 0.0, 0.00125, 0.5]), np.array([3, 7, 3, 1]))
 REQUIRED = {
     *("timestamp", "frame_id", "id", "lifetime", "frame_locked", "metadata", "arrows", "cubes", "spheres"),
     *("cylinders", "lines", "triangles", "texts", "models"),

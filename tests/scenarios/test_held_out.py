@@ -11,7 +11,7 @@ from quadsim.dataset.generation import generate
 from quadsim.flight.recipe import load_recipe
 from quadsim.held_out import SEEDS, load_held_out, releases, unreserved
 from scenarios.bench.cell import FlightSettings
-from scenarios.bench.experiment import draw, load_experiment
+from scenarios.bench.experiment import draw_scenarios, load_experiment
 from scenarios.bench.runner import bench
 from training.epochs import train
 
@@ -38,7 +38,7 @@ def test_it_is_the_same_whenever_it_is_drawn_and_covers_every_level():
         assert {case.levels[axis] for case in drawn.values()} == set(levels)
     wind = [np.linalg.norm(case.scenario.wind[0].velocity) for case in drawn.values()]
     assert NEWEST.wind[0] <= min(wind) < max(wind) <= NEWEST.wind[1]
-    other = draw(NEWEST.model_copy(update={"seed": NEWEST.seed + 1}), SUITE.axes)
+    other = draw_scenarios(NEWEST.model_copy(update={"seed": NEWEST.seed + 1}), SUITE.axes)
     assert [case.scenario for case in other.values()] != [case.scenario for case in drawn.values()]
 
 

@@ -14,7 +14,7 @@ from estimators.appearance import look
 from quadsim.flight.mission import Mission
 from quadsim.flight.scenario import Scenario
 from scenarios.bench.cell import Cell, FlightSettings, make_cell
-from scenarios.bench.flight_log import SHARED, fly
+from scenarios.bench.flight_log import SHARED, fly_mission
 from scenarios.bench.results import Results
 from scenarios.report.page import OfflineSection, page_flights, write_report
 
@@ -30,7 +30,7 @@ def results():
     """Two scenarios, three estimators: one flies, one crashes half the time, one did not run."""
     scenario = WINDY.model_copy(update={"description": "Hold a place & <stay> there."})
     mission = Mission(scenario, estimators.create("eskf"), 2)
-    flown = fly(mission, 0)
+    flown = fly_mission(mission, 0)
     cells = []
     for name in ("calm", "storm"):
         for estimator in ("truth", "mahony"):

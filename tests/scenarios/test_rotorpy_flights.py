@@ -21,14 +21,14 @@ import scenarios.task.rotorpy_flights as rotorpy
 
 DT = 1 / 200.0
 GRAVITY = np.array([0.0, 0.0, -9.81])
-PLAN = rotorpy.Plan("hummingbird", "lissajous", "dryden", 0.0, 1)
+PLAN = rotorpy.RotorpyPlan("hummingbird", "lissajous", "dryden", 0.0, 1)
 
 
 @pytest.fixture(scope="module", params=["hummingbird", "crazyflie"])
 def flight(request):
     """Two seconds in turbulence with a turn, after one second: name of the airframe, arrays."""
-    plan = rotorpy.Plan(request.param, "lissajous", "dryden", 0.3, 5)
-    return request.param, rotorpy.fly(plan, duration_s=2.0, warmup_s=1.0)
+    plan = rotorpy.RotorpyPlan(request.param, "lissajous", "dryden", 0.3, 5)
+    return request.param, rotorpy.fly_plan(plan, duration_s=2.0, warmup_s=1.0)
 
 
 @pytest.fixture
@@ -38,7 +38,7 @@ def hovering(monkeypatch):
 
     monkeypatch.setattr(rotorpy, "lissajous", lambda rng: HoverTraj(np.array([0.0, 0.0, 2.0])))
     monkeypatch.setattr(rotorpy, "wind_of", lambda plan, rng: NoWind())
-    monkeypatch.setattr(rotorpy, "fly", partial(rotorpy.fly, warmup_s=0.0))
+    monkeypatch.setattr(rotorpy, "fly", partial(rotorpy.fly_plan, warmup_s=0.0))
 
 
 def test_forces_velocities_and_body_rates_integrate_to_the_motion(flight):
@@ -76,10 +76,10 @@ def test_thrust_torques_and_drag_are_those_of_rotorpy(flight):
 def test_a_flight_follows_from_its_seed_alone(flight):
     airframe, motion = flight
     np.random.rand(3)  # noqa: NPY002  # the global generator, which RotorPy draws from
-    plan = rotorpy.Plan(airframe, "lissajous", "dryden", 0.3, 5)
-    again = rotorpy.fly(plan, duration_s=0.1, warmup_s=1.0)
+    plan = rotorpy.RotorpyPlan(airframe, "lissajous", "dryden", 0.3, 5)
+    again = rotorpy.fly_plan(plan, duration_s=0.1, warmup_s=1.0)
     np.testing.assert_array_equal(again["position"], motion["position"][:20])
-    other = rotorpy.fly(plan._replace(seed=6), duration_s=0.1, warmup_s=1.0)
+    other = rotorpy.fly_plan(plan._replace(seed=6), duration_s=0.1, warmup_s=1.0)
     assert not np.allclose(other["wind"], again["wind"])
 
 
@@ -97,7 +97,7 @@ def test_in_hover_the_accelerometer_reads_gravity_and_a_finished_flight_is_not_s
     np.testing.assert_allclose(dataset["accel"], np.broadcast_to(-GRAVITY, (1, 100, 3)), atol=1e-6)
     np.testing.assert_array_equal(dataset["gyro"], dataset["ang_vel"])
     assert vehicle_of(dataset) == rotorpy.vehicle("hummingbird")
-    fly = rotorpy.fly
+    fly = rotorpy.fly_plan
     monkeypatch.setattr(rotorpy, "fly", None)
     again = rotorpy.rotorpy_flights([PLAN], tmp_path, load_imu("px4-mini"), 0.5)
     assert again.sizes["time"] == 100

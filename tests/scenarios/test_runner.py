@@ -15,7 +15,7 @@ from quadsim.flight.scenario import Scenario, Start, load_scenario
 from quadsim.vehicle import load_vehicle
 from scenarios.bench import runner
 from scenarios.bench.cell import FlightSettings, fly_cell
-from scenarios.bench.flight_log import fly
+from scenarios.bench.flight_log import fly_mission
 from scenarios.bench.results import hours, load_results
 from scenarios.bench.verdict import verdict
 from scenarios.report.terminal import standings_table
@@ -24,7 +24,7 @@ from scenarios.single_flight import fly_scenario
 
 def test_log_holds_what_the_loop_did():
     mission = Mission(Scenario(description="", duration_s=0.2), estimators.create("madgwick"), 2)
-    log, end, _ = fly(mission, seed=4)
+    log, end, _ = fly_mission(mission, seed=4)
     assert end.tolist() == [40, 40]
     np.testing.assert_array_equal(log["position"][:, -1], mission.plant.position)
     np.testing.assert_array_equal(log["estimate"][:, -1], mission.attitude)

@@ -23,18 +23,18 @@ from scenarios.bench.cell import FlightSettings
 from scenarios.bench.experiment import load_experiment
 from scenarios.bench.runner import bench
 from scenarios.report.leaderboard import (
+    closed_loop_flights,
     find_entries,
-    flights_of,
     improvement,
     loop_errors,
     standing,
     write_leaderboard,
 )
-from scenarios.task.data import make_data
 from scenarios.task.entry import ENTRY, card_of, load_entry
 from scenarios.task.operations import counted_operations
-from scenarios.task.run import run_task
+from scenarios.task.run_task import run_task
 from scenarios.task.specification import load_task
+from scenarios.task.task_data import make_data
 from training.data import load_training_flights
 
 SHIPPED = load_task("attitude-1")
@@ -153,11 +153,11 @@ def test_an_entry_has_the_errors_of_its_runs(place, task):
 
 def test_a_run_that_was_stopped_goes_on_where_it_was(place, task, monkeypatch):
     before = load_entry(place / "out" / "Mine" / "entry.json")
-    monkeypatch.setattr("scenarios.task.run.examine", None)
-    monkeypatch.setattr("scenarios.task.run.score_part", None)
+    monkeypatch.setattr("scenarios.task.run_task.examine", None)
+    monkeypatch.setattr("scenarios.task.run_task.score_part", None)
     monkeypatch.setattr("scenarios.bench.runner.fly_cell", None)
     with monkeypatch.context() as patch:
-        patch.setattr("scenarios.task.run.fly_entry", lambda *_: ((), ["did not fly"]))
+        patch.setattr("scenarios.task.run_task.fly_entry", lambda *_: ((), ["did not fly"]))
         (unfit,) = run_task(task, [f"{place}/mine.py:Mine"], place / "out", workers=1)
     assert unfit.reasons == ("did not fly",)
     assert run_task(task, [f"{place}/mine.py:Mine"], place / "out", workers=1) == [before]
@@ -186,7 +186,7 @@ def test_an_entry_that_breaks_a_rule_is_listed_with_the_reason_and_not_ranked(pl
     assert source != FAIR.replace("Mine", name)
     entry = entered(place, name, source)
     assert reason in "; ".join(entry.reasons)
-    assert standing([entry], flights_of([entry])) == []
+    assert standing([entry], closed_loop_flights([entry])) == []
 
 
 def test_two_entries_of_one_name_are_refused(place, task):
@@ -238,11 +238,11 @@ def test_the_probability_of_improvement_counts_paired_flights(place):
     entries = find_entries([place / "out"])
     mine, other = (load_entry(place / "out" / name / "entry.json") for name in ("Mine", "mahony"))
     better = [float(a.error_deg < b.error_deg) for a, b in zip(mine.flights, other.flights, strict=True)]
-    assert improvement(flights_of(entries), "Mine", "mahony").mean == pytest.approx(np.mean(better))
+    assert improvement(closed_loop_flights(entries), "Mine", "mahony").mean == pytest.approx(np.mean(better))
     crashed = replace(mine.flights[0], cause="tilt", error_deg=0.0)
     fallen = replace(named(mine, "Fallen"), flights=(crashed, *mine.flights[1:]))
     assert loop_errors(fallen).sequences[0] == mine.flights[1].error_deg
-    flights = flights_of([mine, fallen])
+    flights = closed_loop_flights([mine, fallen])
     assert improvement(flights, "Fallen", "Mine").mean == pytest.approx(0.5 * 3 / 4)
     assert standing([fallen, mine], flights) == ["Mine", "Fallen"]
 

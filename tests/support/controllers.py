@@ -3,7 +3,7 @@
 import numpy as np
 
 from estimators.networks.layer_parameters import EXPONENTS
-from estimators.networks.weights_file import NetworkConfig, SetPointScaling, expected_shapes
+from estimators.networks.weights_file import NetworkConfig, SetPointScaling, tensor_shapes
 from quadsim.vehicle import GRAVITY
 
 CONFIG = NetworkConfig(
@@ -23,7 +23,7 @@ def random_snn(config, seed=0):
         name: (2 * rng.integers(-60, 61, shape)).astype(np.int16)
         if name.startswith("w_")
         else rng.integers(1, 2000, shape).astype(np.int16)
-        for name, shape in expected_shapes(config).items()
+        for name, shape in tensor_shapes(config).items()
     }
     return tensors | {
         exponent: rng.integers(-6 * (seed % 2), 1, config.hidden).astype(np.int16)

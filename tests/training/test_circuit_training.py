@@ -12,7 +12,7 @@ from training.augment import measured, turned_and_mirrored
 from training.circuit.gradient import loss_and_gradient
 from training.circuit.imus import draw_imu
 from training.circuit.start import QUICK, as_flown, settling_s
-from training.circuit.streams import Streams, bias_of, draw_streams, held, interrupt, sway
+from training.circuit.streams import Streams, bias_of, draw_streams, hold_last, interrupt, sway
 from training.config import CircuitTraining, make_config
 from training.data import load_training_flights
 from training.epochs import INTERRUPTED, train
@@ -171,7 +171,7 @@ def test_the_bias_of_a_stream_is_found_where_up_tells_it():
 def test_lost_readings_are_the_last_good_ones():
     readings = np.arange(18.0).reshape(1, 6, 3)
     readings[0, [0, 3, 4]] = np.nan
-    found = held(readings)[0]
+    found = hold_last(readings)[0]
     assert found[0].tolist() == [0, 0, 0]
     assert found[3].tolist() == found[4].tolist() == [6, 7, 8]
 

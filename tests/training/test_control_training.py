@@ -14,8 +14,8 @@ from quadsim.trajectory.specs import Hover
 from quadsim.vehicle import GRAVITY
 from training.config import make_config
 from training.control.excitation import STANDARD, Excitation, excite_set_points
-from training.control.labelled_flights import fly
-from training.control.task import ControlTask, windows
+from training.control.labelled_flights import fly_labelled
+from training.control.task import ControlTask, control_windows
 from training.data import network_inputs
 from training.epochs import INTERRUPTED, Training, train
 from training.init import initialise_controller
@@ -36,7 +36,7 @@ def training_of(out, **choices):
 
 
 def first_windows(flights, config):
-    return windows(flights, config, 40, (0,))
+    return control_windows(flights, config, 40, (0,))
 
 
 @pytest.fixture(scope="module")
@@ -57,20 +57,20 @@ def calm(recipe):
 
 
 def test_the_teacher_flies_its_own_data_without_a_crash(recipe):
-    flights = fly(recipe, seeds(4), 4.0)
+    flights = fly_labelled(recipe, seeds(4), 4.0)
     assert flights["valid"].all()
     assert np.degrees(flights["error"]).std() < 15.0
     assert np.abs(flights["target"]).max() > 10.0
 
 
 def test_a_flight_depends_on_its_own_seed_alone(recipe):
-    three, one = fly(recipe, seeds(3), 1.0), fly(recipe, seeds(3)[1:2], 1.0)
+    three, one = fly_labelled(recipe, seeds(3), 1.0), fly_labelled(recipe, seeds(3)[1:2], 1.0)
     assert np.array_equal(three[1:2], one)
 
 
 def test_the_teacher_observes_a_constant_torque_and_cancels_it(calm):
-    flights = fly(calm, seeds(3), 6.0, excitation=STILL._replace(constant=5.0))
-    still = fly(calm, seeds(3), 6.0, excitation=STILL)
+    flights = fly_labelled(calm, seeds(3), 6.0, excitation=STILL._replace(constant=5.0))
+    still = fly_labelled(calm, seeds(3), 6.0, excitation=STILL)
     change = (flights["target"] - still["target"])[:, 800:].mean(axis=1)
     assert np.abs(change[:, :2]).max() > 1.0
     assert np.abs(change[:, 2]).max() <= 0.5 + 0.05
@@ -87,7 +87,7 @@ def test_who_flies_does_not_change_what_is_taught(calm):
         def update(self, set_point, gyro, accel, roll_pitch):
             return np.concatenate([np.zeros((len(gyro), 3)), set_point[:, 3:]], axis=1)
 
-    flights = fly(calm, seeds(3), 6.0, Idle(), excitation=STILL._replace(constant=2.5))
+    flights = fly_labelled(calm, seeds(3), 6.0, Idle(), excitation=STILL._replace(constant=2.5))
     end = flights["valid"].sum(axis=1)
     assert (end < 1200).all()
     assert (np.diff(flights["valid"], axis=1) <= 0).all()
@@ -96,8 +96,8 @@ def test_who_flies_does_not_change_what_is_taught(calm):
     assert last["accel"][:, 2] / GRAVITY == pytest.approx(np.cos(np.radians(80.0)), abs=0.1)
     put_back = flights["accel"][np.arange(3), end + 2, 2]
     assert put_back == pytest.approx(GRAVITY, rel=0.01)
-    by_teacher = fly(calm, seeds(3), 6.0, Idle(), teacher_share=1.0, excitation=STILL)
-    assert np.array_equal(by_teacher, fly(calm, seeds(3), 6.0, excitation=STILL))
+    by_teacher = fly_labelled(calm, seeds(3), 6.0, Idle(), teacher_share=1.0, excitation=STILL)
+    assert np.array_equal(by_teacher, fly_labelled(calm, seeds(3), 6.0, excitation=STILL))
 
 
 def test_excitation_is_within_its_limits():
@@ -112,15 +112,15 @@ def test_excitation_is_within_its_limits():
 
 
 def test_the_set_points_of_flights_are_excited(calm):
-    still = fly(calm, seeds(3), 4.0, excitation=STILL)["set_point"][..., :3]
+    still = fly_labelled(calm, seeds(3), 4.0, excitation=STILL)["set_point"][..., :3]
     assert np.abs(still).max() < 1e-3
     for name, size, axis in (("step_deg", 10.0, 0), ("chirp_deg", 10.0, 1), ("yaw_rate", 1.0, 2)):
-        excited = fly(calm, seeds(3), 4.0, excitation=STILL._replace(**{name: size}))["set_point"]
+        excited = fly_labelled(calm, seeds(3), 4.0, excitation=STILL._replace(**{name: size}))["set_point"]
         assert np.abs(excited[..., axis]).max() > 0.01
 
 
 def test_half_of_the_streams_begin_with_a_flight_and_each_has_the_target_of_its_readings(recipe):
-    flights = fly(recipe, seeds(3), 1.0)
+    flights = fly_labelled(recipe, seeds(3), 1.0)
     batches = list(first_windows(flights, make_config(**TINY | {"batches": 6})))
     gyro, target = (np.concatenate([getattr(x, k)[x.reset, 0] for x in batches]) for k in ("gyro", "target"))
     found = (flights["gyro"][:, :, None] == gyro).all(-1)
@@ -190,7 +190,7 @@ def test_a_run_that_was_stopped_ends_with_the_same_weights_which_fly(recipe, tmp
     with pytest.raises(ValueError, match="another configuration, choose another folder"):
         train(out=tmp_path / "whole", **TINY, seed=5)
     controller = create_controller(whole.weights)
-    flights = fly(recipe, seeds(2), 1.0, controller)
+    flights = fly_labelled(recipe, seeds(2), 1.0, controller)
     assert np.linalg.norm(flights["accel"], axis=-1) == pytest.approx(GRAVITY, rel=1e-5)
     assert load_network(whole.weights)[0].training["training_flights"] == (3, 5)[whole.best.epoch]
 
@@ -198,7 +198,7 @@ def test_a_run_that_was_stopped_ends_with_the_same_weights_which_fly(recipe, tmp
 @pytest.mark.parametrize("size", [0, 1, 700])
 def test_damaged_flights_of_a_round_are_named(tmp_path, recipe, size):
     file = tmp_path / "round-0.npy"
-    np.save(file, fly(recipe, seeds(1), 0.5))
+    np.save(file, fly_labelled(recipe, seeds(1), 0.5))
     file.write_bytes(file.read_bytes()[:size])
     with pytest.raises(ValueError, match=r"round-0\.npy: damaged, choose another folder"):
         training_of(tmp_path, **TINY)

@@ -15,14 +15,14 @@ from quadsim.flight.recipe import load_recipe
 from quadsim.held_out import load_held_out
 from quadsim.rotation import roll_pitch_from_quat
 from training.config import make_config
-from training.data import flights_of, load_training_flights, split, windows
+from training.data import attitude_windows, load_training_flights, split_flights, split_ids
 from training.windows import Windows
 
 
 def test_windows_of_a_stream_are_successive(dataset):
     flights = load_training_flights([dataset])
     config = make_config(data="x", batches=12, batch_size=20, windows_per_stream=4, imu="perfect")
-    batches = list(windows(flights, config, 100, (0, 1)))
+    batches = list(attitude_windows(flights, config, 100, (0, 1)))
     assert batches[0].reset.all()
     reset = np.array([batch.reset for batch in batches[1:]])
     assert 0 < reset.mean() < 1
@@ -31,7 +31,7 @@ def test_windows_of_a_stream_are_successive(dataset):
         for row in np.flatnonzero(~after.reset):
             joined = np.concatenate([before.gyro[row], after.gyro[row]]).tobytes()
             assert any(joined in flight for flight in flown)
-    again = list(windows(flights, config, 100, (0, 1)))
+    again = list(attitude_windows(flights, config, 100, (0, 1)))
     np.testing.assert_array_equal(batches[7].accel, again[7].accel)
 
 
@@ -39,7 +39,7 @@ def test_streams_of_a_batch_differ_and_do_not_depend_on_how_many_others_there_ar
     flights = load_training_flights([dataset])
     sizes = (8, 12)  # one stream in each of eight cohorts; two in four of them, one in the others
     configs = (make_config(data="x", batches=6, batch_size=size, windows_per_stream=4) for size in sizes)
-    few, more = (list(windows(flights, config, 100, (0, 1))) for config in configs)
+    few, more = (list(attitude_windows(flights, config, 100, (0, 1))) for config in configs)
     for batch in more:
         assert len(np.unique(batch.accel[:, 0], axis=0)) == 12
     resets = np.array([batch.reset for batch in few])
@@ -52,7 +52,7 @@ def test_streams_of_a_batch_differ_and_do_not_depend_on_how_many_others_there_ar
 def test_a_stream_lasts_from_one_window_to_the_most(dataset):
     flights = load_training_flights([dataset])
     config = make_config(data="x", batches=300, batch_size=8, windows_per_stream=4)
-    starts = np.array([batch.reset for batch in windows(flights, config, 20, (3, 1))])
+    starts = np.array([batch.reset for batch in attitude_windows(flights, config, 20, (3, 1))])
     lengths = np.concatenate([np.diff(np.flatnonzero(column)) for column in starts.T])
     assert set(lengths) == {1, 2, 3, 4}
     shares = np.bincount(lengths)[1:] / lengths.size  # evenly in the logarithm, up to 5
@@ -60,14 +60,14 @@ def test_a_stream_lasts_from_one_window_to_the_most(dataset):
 
 
 def test_split_has_every_flight_once():
-    parts = split(35, seed=0)
+    parts = split_ids(35, seed=0)
     assert [len(p) for p in parts] == [24, 7, 4]
     np.testing.assert_array_equal(np.sort(np.concatenate(parts)), np.arange(35))
 
 
 def test_windows_that_do_not_fit_the_flights_are_refused(dataset):
     with pytest.raises(ValueError, match="windows of 1000 samples, but the flights have 800: give a smaller"):
-        flights_of(make_config(data=dataset, window_s=5.0))
+        split_flights(make_config(data=dataset, window_s=5.0))
 
 
 def test_a_loader_gives_windows_of_readings_and_truth(dataset):

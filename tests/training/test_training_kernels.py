@@ -6,7 +6,7 @@ from plain_network import Plain
 from estimators.networks.layer_parameters import DECAY, Weights
 from estimators.spiking import superspike
 from training.fused import Fused
-from training.models import quantise, quantise_weights, weight_exponents
+from training.models import quantise_constant, quantise_weights, weight_exponents
 
 
 def random_weights(h0, h1, seed=0, quantised=True, dtype=torch.float64, gain=1.0):
@@ -16,7 +16,7 @@ def random_weights(h0, h1, seed=0, quantised=True, dtype=torch.float64, gain=1.0
     w = [torch.tensor(rng.normal(size=s) * k * gain) for s, k in zip(shapes, scales, strict=True)]
     tau = [torch.tensor(1 - np.exp(rng.uniform(-4, -0.2, size))) for size in (h0, h0, h1, h1, 1, 1)]
     if quantised:
-        w, tau = [quantise_weights(x) for x in w], [quantise(x, DECAY) for x in tau]
+        w, tau = [quantise_weights(x) for x in w], [quantise_constant(x, DECAY) for x in tau]
     return Weights(*(x.to(dtype).requires_grad_() for x in (*w, *tau)))
 
 
@@ -136,7 +136,7 @@ def test_recurrent_delay_of_two_is_the_papers_convention():
 def test_grid_of_the_chip():
     w = quantise_weights(torch.tensor([[0.0, 0.1, 1.0, 3.0, -3.0]], dtype=torch.float64)) * 256
     assert w.tolist() == [[0, 26, 254, 254, -256]]
-    d = (1 - quantise(torch.tensor([0.0, 0.5, 0.99999], dtype=torch.float64), DECAY)) * 4096
+    d = (1 - quantise_constant(torch.tensor([0.0, 0.5, 0.99999], dtype=torch.float64), DECAY)) * 4096
     assert d.tolist() == [4096, 2048, 1]
 
 

@@ -20,7 +20,7 @@ from quadsim.runs.fingerprint import code_digest
 from quadsim.runs.record import commit
 from training import epochs
 from training.config import make_config
-from training.data import AttitudeTask, network_inputs, windows
+from training.data import AttitudeTask, attitude_windows, network_inputs
 from training.epochs import train
 from training.optim import finished, total_cost
 from training.run_folder import tensorboard_events
@@ -233,7 +233,7 @@ def begun(dataset):
     training = epochs.Training(config, task)
     training.begin()
     training.model.double()
-    return training, list(windows(task.flights, config, 100, (0, 1)))
+    return training, list(attitude_windows(task.flights, config, 100, (0, 1)))
 
 
 def chip_of(training):

@@ -36,7 +36,7 @@ LENGTH_COST = 0.02
 """Weight of the squared difference between the length of the estimate and 1."""
 
 
-def begin(p: Parameters, batch: Streams) -> tuple[Signals, Senses]:
+def new_run(p: Parameters, batch: Streams) -> tuple[Signals, Senses]:
     """Return arrays for a run over a batch, with the initial state; attitude and bias can be known."""
     trace, senses = new_trace(p, len(batch.angle), len(batch.known))
     known = np.flatnonzero(batch.known)
@@ -58,7 +58,7 @@ def loss_and_gradient(p: Parameters, batch: Streams, weights: Floats) -> tuple[f
         The loss, which is the mean of √(|error|² + ROUNDING²) - ROUNDING of the normalised estimate plus the
         cost of its length; the gradient of the parameters `LEARNT`; and the trace.
     """
-    w, (trace, senses) = stepped(p), begin(p, batch)
+    w, (trace, senses) = stepped(p), new_run(p, batch)
     run_floats(batch.angle, batch.force, batch.again, w, trace, senses)
     loss, outer = _loss(trace.x[1:, OUTPUT], batch.up, weights / (weights.sum() * len(batch.angle)))
     slopes = Steps._make(map(np.zeros_like, w))
@@ -74,9 +74,9 @@ def loss_and_gradient(p: Parameters, batch: Streams, weights: Floats) -> tuple[f
     return loss, p._replace(**rest, **{name: each.astype(np.float64) for name, each in found.items()}), trace
 
 
-def run_batch(p: Parameters, batch: Streams) -> Signals:
+def run_streams(p: Parameters, batch: Streams) -> Signals:
     """Run the circuit on streams."""
-    trace, senses = begin(p, batch)
+    trace, senses = new_run(p, batch)
     run_floats(batch.angle, batch.force, batch.again, stepped(p), trace, senses)
     return trace
 

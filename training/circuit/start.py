@@ -7,7 +7,7 @@ import numpy as np
 from estimators.circuit.floats import F
 from estimators.circuit.parameters import FAST, RATE_HZ, SLOW, Parameters
 
-from .gradient import cosine, run_batch
+from .gradient import cosine, run_streams
 from .streams import Streams
 
 QUICK = 4096 / (85 * 800)
@@ -44,6 +44,6 @@ def settling_s(p: Parameters) -> float:
     up = np.stack([np.sin(tilt) * np.cos(azimuth), np.sin(tilt) * np.sin(azimuth), np.full(4, np.cos(tilt))])
     force = np.repeat(up[None].astype(F), steps, axis=0)
     none, zero = np.zeros((steps, 4), np.bool_), np.zeros((3, 4), F)
-    trace = run_batch(p, Streams(0 * force, force, none, force, zero, none[0]))
+    trace = run_streams(p, Streams(0 * force, force, none, force, zero, none[0]))
     away = np.flatnonzero((cosine(trace, up) < np.cos(np.radians(SETTLED_DEG))).any(axis=1))
     return float(away[-1] + 1) / RATE_HZ if away.size else 0.0

@@ -93,7 +93,7 @@ def _block(
         row = rng.integers(len(flights))
         streams.append([getattr(flights, name)[row, first : first + steps] for name in SIGNALS])
     rate, force, _, _, up = (np.stack(each) for each in zip(*streams, strict=True))
-    rate, force = held(rate), held(force)
+    rate, force = hold_last(rate), hold_last(force)
     return rate, sway(rate, force, up, swaying, sets[0].rate_hz, rng) if swaying else force, up
 
 
@@ -135,7 +135,7 @@ def interrupt(
     return again
 
 
-def held(readings: Floats) -> Floats:
+def hold_last(readings: Floats) -> Floats:
     """Replace missing readings (n, T, 3) by the last valid ones, or by 0 before the first."""
     lost = ~np.isfinite(readings).all(-1)
     index = np.maximum.accumulate(np.where(lost, 0, np.arange(readings.shape[1])), axis=1)

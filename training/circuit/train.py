@@ -17,7 +17,7 @@ from estimators.metrics import absolute_error
 from ..config import EPOCH_UPDATES, CircuitRun
 from ..data import TrainingFlights, load_training_flights
 from ..run_folder import Epoch
-from .gradient import cosine, loss_and_gradient, run_batch
+from .gradient import cosine, loss_and_gradient, run_streams
 from .start import as_flown
 from .streams import Streams, draw_streams
 
@@ -128,7 +128,7 @@ class CircuitLearner:
 
     def circuit(self) -> Parameters:
         """Return the circuit of the averaged weights, adjusted for flight."""
-        return as_flown(scaled(_with(self.first, self.slow), self.streams))
+        return as_flown(scale_vectors(_with(self.first, self.slow), self.streams))
 
     def save(self, file: Path, note: dict[str, Any]) -> None:
         """Write the circuit; `note` is stored in the file."""
@@ -173,15 +173,15 @@ def stream_weights(streams: Streams) -> NDArray[np.float32]:
     p, errors = untrained(), []
     for first in range(0, len(streams.known), 64):
         batch = streams.batch(np.arange(first, min(first + 64, len(streams.known))))
-        cosines = cosine(run_batch(p, batch), batch.up)
+        cosines = cosine(run_streams(p, batch), batch.up)
         errors.append(np.degrees(np.arccos(np.clip(cosines, -1, 1))).mean(0))
     weights = 1 / (np.concatenate(errors) + 0.5)
     return (weights / weights.mean()).astype(np.float32)
 
 
-def scaled(p: Parameters, streams: Streams) -> Parameters:
+def scale_vectors(p: Parameters, streams: Streams) -> Parameters:
     """Return the circuit with scales of its vectors from their lengths on streams."""
-    trace = run_batch(p, streams.batch(np.arange(min(128, len(streams.known)))))
+    trace = run_streams(p, streams.batch(np.arange(min(128, len(streams.known)))))
     size = np.abs(trace.x[1:]).transpose(1, 0, 2, 3).reshape(len(p.start), -1)
     return p._replace(scale=np.quantile(size, RANGE_QUANTILE, axis=1).astype(np.float64) / RANGE)
 

@@ -42,7 +42,7 @@ SAMPLE = np.dtype(
 
 
 @dataclass
-class Pilot:
+class DisturbedController:
     """An attitude controller that gives the disturbed commands of a teacher or a student.
 
     The teacher reads the true state and the cascade's body-rate command from `loop`. `set_point` (n, 4) and
@@ -78,7 +78,7 @@ class Pilot:
         return np.concatenate([action + self.disturbance[:, k], set_point[:, 3:]], axis=1)
 
 
-def fly(
+def fly_labelled(
     recipe: Recipe,
     seeds: Sequence[np.random.SeedSequence],
     duration_s: float,
@@ -97,7 +97,7 @@ def fly(
     disturbances = [disturbance(excitation, *each) for each in zip(sizes, [steps] * n, draws, strict=True)]
     turns = [rng.random(math.ceil(steps / (TURN_S * RATE_HZ))) >= teacher_share for rng in draws]
     by_student = np.repeat(turns, round(TURN_S * RATE_HZ), axis=1)
-    pilot = Pilot(student, by_student, np.stack(disturbances))
+    pilot = DisturbedController(student, by_student, np.stack(disturbances))
     loop = pilot.loop = recipe_loop(recipe, seeds, steps, RATE_HZ, controller=lambda *_: pilot)
     for target, size, rng in zip(loop.plans["target"], sizes, draws, strict=True):
         excite_set_points(target, excitation, size, loop.records["controller"]["gains"]["velocity"][0], rng)

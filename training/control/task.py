@@ -19,7 +19,7 @@ from ..config import TrainConfig
 from ..data import Batch, network_inputs, windows_of
 from ..init import initialise_controller
 from ..models import AttSNN
-from .labelled_flights import RATE_HZ, fly
+from .labelled_flights import RATE_HZ, fly_labelled
 
 if TYPE_CHECKING:
     from ..epochs import Student
@@ -56,7 +56,7 @@ class ControlTask:
         self.teacher_deg = tracking_deg(self._fly((VALIDATION,), config.control.validation_flights))
         drawn = config.model_copy(update={"batch_size": INITIAL_WINDOWS, "windows_per_stream": 1})
         steps = round(min(INITIAL_S, config.control.flight_s) * self.rate_hz)
-        batch = next(windows(self.rounds[0], drawn, steps, (config.seed, INITIAL)))
+        batch = next(control_windows(self.rounds[0], drawn, steps, (config.seed, INITIAL)))
         model = AttSNN(config)
         initialise_controller(model, network_inputs(config, batch).numpy(), batch.target, config.seed)
         return model
@@ -64,7 +64,7 @@ class ControlTask:
     def _fly(self, key: Sequence[int], n: int, *pilots: Any) -> NDArray[np.void]:
         """Simulate flights of a child of the run's seed; `pilots` are a student and the teacher's share."""
         seeds = [child(np.random.SeedSequence([self.config.seed, *key]), i) for i in range(n)]
-        return fly(self.recipe, seeds, self.config.control.flight_s, *pilots)
+        return fly_labelled(self.recipe, seeds, self.config.control.flight_s, *pilots)
 
     def _round(self, number: int, student: Student | None = None) -> NDArray[np.void]:
         """Return the flights of a round, from its file if there is one."""
@@ -85,7 +85,7 @@ class ControlTask:
         while len(self.rounds) <= config.round_of(epoch):
             self.rounds.append(self._round(len(self.rounds), student))
         seed, steps = (config.seed, WINDOWS, epoch), config.steps(self.rate_hz)
-        return windows(np.concatenate(self.rounds), config, steps, seed)
+        return control_windows(np.concatenate(self.rounds), config, steps, seed)
 
     def validate(self, network: NetworkConfig, tensors: Tensors) -> dict[str, float]:
         """Return measures of the student's flights.
@@ -118,7 +118,7 @@ def tracking_deg(flights: NDArray[np.void]) -> float:
     return float(np.sqrt(np.mean(np.where(flights["valid"][:, -1:], squares, 90.0**2))))
 
 
-def windows(
+def control_windows(
     flights: NDArray[np.void], config: TrainConfig, steps: int, seed: Sequence[int]
 ) -> Iterator[Batch]:
     """Return the windows of an epoch; see `training.data.windows_of`.

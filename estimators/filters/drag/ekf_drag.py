@@ -25,7 +25,7 @@ from quadsim.vehicle import AIR_DENSITY, GRAVITY, Vehicle
 from ..driver import Array, CompiledFilter, Records
 from ..ekf import SIGMA_KNOWN
 from ..inline_math import roll_pitch_core, rotate
-from ..samples import run_all
+from ..samples import run_vehicles
 from .drag_aided import (
     ACCEL_BIAS,
     DRAG,
@@ -109,7 +109,7 @@ def adapt_bias(s, p, dt, removed):
 
 
 @njit
-def measure(s, p, dt, gyro, accel, matrix):
+def correct_by_sample(s, p, dt, gyro, accel, matrix):
     """Apply all corrections by one sample: update error and covariance, and adapt the noise."""
     P, v = s.covariance, s.velocity
     airspeed, bias = airspeed_variance(P), bias_variance(P)
@@ -141,7 +141,7 @@ def step(s, p, sample):
             v[k] += 0.5 * (now[k] + (s.accel_W[k] if s.time > dt else now[k])) * dt
             s.accel_W[k] = now[k]
         s.accel_square = mean_square(s.accel_square, 0.5 * (fx * fx + fy * fy), dt, s.time, p.accel_memory)
-        measure(s, p, dt, gyro, accel, matrix)
+        correct_by_sample(s, p, dt, gyro, accel, matrix)
     apply_error(s, s.error)
     if diverged(s.gyro_bias, s.velocity) or diverged(s.gyro_bias, s.wind):
         return math.nan, math.nan
@@ -151,7 +151,7 @@ def step(s, p, sample):
 @njit(cache=True, nogil=True)
 def run(states, samples, params, dt, gyro, accel, rotor_vel, out):
     """Process a sample or sequences; see `driver`."""
-    run_all(step, states, samples, params, dt, gyro, accel, rotor_vel, out)
+    run_vehicles(step, states, samples, params, dt, gyro, accel, rotor_vel, out)
 
 
 class EkfDrag(CompiledFilter):

@@ -49,7 +49,7 @@ from ...sanitise import within
 from ..driver import Array, CompiledFilter, Records
 from ..eskf import tilt_core, turned
 from ..inline_math import atan2_core, exp_core, multiply, put, roll_pitch_core, rotate
-from ..samples import run_all
+from ..samples import run_vehicles
 from .drag_aided import (
     CLIMB,
     ERRORS,
@@ -188,7 +188,7 @@ def weigh(s, change):
 
 
 @njit
-def interval(s, p):
+def integrated_interval(s, p):
     """Return the finished `Integrated`; the first one with a specific force starts the models."""
     dt, turn = s.interval, rotation_vector(s.turn)
     rate = (turn[0] / dt, turn[1] / dt, turn[2] / dt)
@@ -209,7 +209,7 @@ def interval(s, p):
 @njit
 def update_models(s, p):
     """Update all models by the finished interval, and combine them."""
-    x = interval(s, p)
+    x = integrated_interval(s, p)
     if x.found:
         across, along = across_thrust(s.models[MULTIROTOR], x)
         square = 0.5 * (across * across + along * along)
@@ -274,7 +274,7 @@ def step(s, p, sample):
 @njit(cache=True, nogil=True)
 def run(states, samples, params, dt, gyro, accel, rotor_vel, out):
     """Process a sample or sequences; see `driver`."""
-    run_all(step, states, samples, params, dt, gyro, accel, rotor_vel, out)
+    run_vehicles(step, states, samples, params, dt, gyro, accel, rotor_vel, out)
 
 
 class InteractingModels(CompiledFilter):

@@ -55,7 +55,7 @@ def make_data(
     for k, name in enumerate(task.parts):
         progress(k, len(task.parts), name)
         if name == BROAD:
-            convert(recordings, folder / name, task.rate_hz)
+            convert_broad(recordings, folder / name, task.rate_hz)
         elif name == ROTORPY:
             dict(foreign(task, folder, workers))
         else:
@@ -107,7 +107,7 @@ def foreign(task: Task, folder: Path, workers: int | None = 1) -> Iterator[tuple
         yield airframe, rotorpy_flights(planned, folder / ROTORPY, imu, task.rotorpy_s, workers)
 
 
-def convert(source: Path | None, folder: Path, rate_hz: float) -> None:
+def convert_broad(source: Path | None, folder: Path, rate_hz: float) -> None:
     """Convert missing trials of BROAD to the rate of the task, with the samples that their authors score.
 
     Raises:

@@ -20,10 +20,10 @@ from quadsim.runs.pool import run_stored
 from ..bench.cell import FlightSettings
 from ..bench.results import records
 from ..bench.runner import bench, flight_code
-from .data import Group, differing, given_start, groups, make_data
 from .entry import ENTRY, FILE, Card, Entry, LoopFlight, PartScore, card_of, digest_of_entry
 from .examination import Examined, deadline, examine, opened_files, watching
 from .specification import BROAD, Task
+from .task_data import Group, differing, given_start, groups, make_data
 
 EXAMINED, SCORE = TypeAdapter(Examined), TypeAdapter(PartScore)
 LONGEST = 20.0
@@ -60,7 +60,7 @@ def run_task(
         raise ValueError(f'two entries have one name, or one is called "data": {named}')
     with alone(out):
         digests = make_data(task, out / "data", recordings, workers, progress)
-        code = fingerprint(flight_code(), code_digest("scenarios.task.run"))
+        code = fingerprint(flight_code(), code_digest("scenarios.task.run_task"))
         about = {"version": task.version, "task": task.fingerprint, "code": code, "data": digests}
         return [_run_entry(task, card, out, about, workers, progress) for card in cards]
 
