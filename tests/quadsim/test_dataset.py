@@ -39,7 +39,7 @@ def interrupted(out: Path) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(dataset, "BATCH_FLIGHTS", 1)
         patch.setattr(dataset, "dataset_store", stubbed)
-        with pytest.raises(OSError, match=r"cannot write .*No space left on device.* stay"):
+        with pytest.raises(OSError, match=r"cannot write .*No space left on device.* are kept"):
             generate(CONFIG, FLIGHTS, DURATION, out, workers=1)
     return out
 
@@ -146,7 +146,7 @@ dataset.generate(Recipe.model_validate_json(sys.argv[2]), 40, 1.0, sys.argv[1], 
 
 def test_a_worker_that_dies_is_one_clear_error(tmp_path, monkeypatch):
     monkeypatch.setattr(pool, "run_all", lambda *_: (each for each in [(0, BrokenExecutor())]))
-    with pytest.raises(ChildProcessError, match=r"a worker process died .*; finished work stays"):
+    with pytest.raises(ChildProcessError, match=r"a worker process died .*; finished work is kept"):
         generate(CONFIG, FLIGHTS, DURATION, tmp_path / "x.zarr", workers=7)
 
 
@@ -173,7 +173,7 @@ def test_what_is_not_a_dataset_is_never_replaced(tmp_path, overwrite):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "chapter").touch()
     for name in ("thesis", "y.zarr"):
-        with pytest.raises(ValueError, match=r"not a dataset|not from quadsim"):
+        with pytest.raises(ValueError, match="is not a dataset of quadsim|was not written by quadsim"):
             generate(CONFIG, 2, DURATION, tmp_path / name, workers=1, overwrite=overwrite)
     assert len(files(tmp_path)) == 2
 

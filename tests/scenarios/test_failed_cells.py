@@ -31,7 +31,7 @@ def test_cell_that_fails_is_a_row_with_its_reason(tmp_path, monkeypatch, error):
     def broken(mission, seed):
         raise error
 
-    monkeypatch.setattr(cell_module, "fly", broken)
+    monkeypatch.setattr(cell_module, "fly_mission", broken)
     results = small(tmp_path)
     reasons = [row.reason for row in results.rows]
     assert reasons == [f"{type(error).__name__}: no idea"] * 4

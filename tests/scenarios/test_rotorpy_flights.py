@@ -38,7 +38,7 @@ def hovering(monkeypatch):
 
     monkeypatch.setattr(rotorpy, "lissajous", lambda rng: HoverTraj(np.array([0.0, 0.0, 2.0])))
     monkeypatch.setattr(rotorpy, "wind_of", lambda plan, rng: NoWind())
-    monkeypatch.setattr(rotorpy, "fly", partial(rotorpy.fly_plan, warmup_s=0.0))
+    monkeypatch.setattr(rotorpy, "fly_plan", partial(rotorpy.fly_plan, warmup_s=0.0))
 
 
 def test_forces_velocities_and_body_rates_integrate_to_the_motion(flight):
@@ -98,10 +98,10 @@ def test_in_hover_the_accelerometer_reads_gravity_and_a_finished_flight_is_not_s
     np.testing.assert_array_equal(dataset["gyro"], dataset["ang_vel"])
     assert vehicle_of(dataset) == rotorpy.vehicle("hummingbird")
     fly = rotorpy.fly_plan
-    monkeypatch.setattr(rotorpy, "fly", None)
+    monkeypatch.setattr(rotorpy, "fly_plan", None)
     again = rotorpy.rotorpy_flights([PLAN], tmp_path, load_imu("px4-mini"), 0.5)
     assert again.sizes["time"] == 100
-    monkeypatch.setattr(rotorpy, "fly", fly)
+    monkeypatch.setattr(rotorpy, "fly_plan", fly)
     file = tmp_path / "hummingbird-1.npz"
     turned = rotorpy.stored(PLAN._replace(yaw_rate=0.5), file, 0.5)  # of another plan
     assert np.ptp(euler_from_quat(turned["quat"])[:, 2]) > 0.01

@@ -10,7 +10,8 @@ from quadsim.flight.mission import Mission
 from quadsim.flight.scenario import Scenario
 from quadsim.flight.vehicle_faults import PayloadDrop
 from quadsim.rotation import euler_from_quat, quat_from_euler, quat_normalize
-from scenarios.bench.cell import CELL, fly, make_cell
+from scenarios.bench.cell import CELL, make_cell
+from scenarios.bench.flight_log import fly_mission
 from scenarios.bench.flight_series import SIGNAL_LEVELS
 
 ((WIND,), (STEP,)) = WINDY.wind, WINDY.faults
@@ -18,7 +19,7 @@ from scenarios.bench.flight_series import SIGNAL_LEVELS
 
 def flown(estimator, scenario=WINDY):
     mission = Mission(scenario, estimators.create(estimator, 200.0, vehicle="hummingbird"), 2)
-    return mission, fly(mission, 0)
+    return mission, fly_mission(mission, 0)
 
 
 def vector(signals, name):
@@ -63,7 +64,7 @@ def test_attributes_of_another_meaning_are_no_signals():
         def gyro_bias(self):
             """A method, not an array."""
 
-    signals = fly(Mission(WINDY, Own("truth", 200.0, {}), 2), 0).signals
+    signals = fly_mission(Mission(WINDY, Own("truth", 200.0, {}), 2), 0).signals
     assert np.isnan([signals["bias_est_x"], signals["roll_sigma"]]).all()
 
 
