@@ -114,7 +114,7 @@ class Part(NamedTuple):
         with matplotlib.rc_context(STYLE):
             return getattr(import_module(script), function)(self, given)
 
-    def write(self, values: Values) -> None:
+    def write(self, values: Values, made_at: str) -> None:
         """Fill the template, and stamp the part.
 
         Raises:
@@ -126,7 +126,7 @@ class Part(NamedTuple):
             raise ValueError(f"{self.template.name}: {', '.join(sorted(keys))}: key or value alone")
         body = f"\n{KEY.sub(lambda key: _text(values[key[1]]), template)}\n\n"
         command = f"python docs/pages.py {self.name}"
-        stamp = _stamp(command, commit(), self.code, self.digest(body))
+        stamp = _stamp(command, made_at, self.code, self.digest(body))
         self.path.write_text(f"{before}{body}{stamp}{after}", "utf-8")
 
     def restamp(self) -> None:
@@ -228,11 +228,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.error(f"no part {', '.join(unknown)}; there are {', '.join(PARTS)}")
     if given.stamp and not given.names:
         parser.error(f"--stamp needs the names of the parts to accept: {', '.join(PARTS)}")
+    made_at = commit()  # before pages and pictures change
     for part in map(Part, given.names):
         if given.stamp:
             part.restamp()
         else:
-            part.write(part.measure(given))
+            part.write(part.measure(given), made_at)
     edited = check([Part(name) for name in PARTS]) if given.check else []
     print(*edited, sep="\n", end="\n" if edited else "")
     return int(bool(edited))

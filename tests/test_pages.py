@@ -30,7 +30,7 @@ def part(tmp_path, pages):
     (tmp_path / "assets/weights/a.safetensors").write_bytes(b"weights")
     part = pages.Part("speed", tmp_path)
     part.save(Figure(), "one.png")
-    part.write({"text": "half", "rows": [("a", 1, 0.5), ("b", 2, float("nan"))]})
+    part.write({"text": "half", "rows": [("a", 1, 0.5), ("b", 2, float("nan"))]}, "0123456")
     return part
 
 
@@ -42,7 +42,7 @@ def test_a_part_ends_with_its_command_and_the_commit_that_made_it(pages, part, c
     assert len(stamp["commit"]) >= 7
     assert (pages.check([part]), capsys.readouterr().out) == ([], "")
     with pytest.raises(ValueError, match=r"speed\.md: rows, tail: key or value alone"):
-        part.write({"text": "", "tail": ""})
+        part.write({"text": "", "tail": ""}, "0123456")
     part.path.write_text("<!-- part speed -->\n")
     assert pages.check([part]) == [EDITED]
     with pytest.raises(ValueError, match=r"speed\.md: part speed has no stamp"):
@@ -97,7 +97,7 @@ def test_a_part_is_replaced_and_the_rest_of_its_page_stays(pages, tmp_path):
     old, part = pages._stamp("x", "0", "0", "0"), pages.Part("loihi", tmp_path)
     after = f"between\n<!-- part deploy -->\nothers\n{old}"
     part.path.write_text(f"before\n<!-- part loihi -->\nold\n{old}{after}")
-    part.write({"rows": pd.DataFrame({"new": [1.0], "rows": ["two"]})})
+    part.write({"rows": pd.DataFrame({"new": [1.0], "rows": ["two"]})}, "0123456")
     table = "| new | rows |\n|---|---|\n| 1.00 | two |"
     assert part.split()[:2] == ("before\n<!-- part loihi -->\n", f"\n{table}\n\n")
     assert part.path.read_text().endswith(after)

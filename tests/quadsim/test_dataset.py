@@ -173,7 +173,7 @@ def test_what_is_not_a_dataset_is_never_replaced(tmp_path, overwrite):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "chapter").touch()
     for name in ("thesis", "y.zarr"):
-        with pytest.raises(ValueError, match="is not a dataset of quadsim|was not written by quadsim"):
+        with pytest.raises(ValueError, match=r"is not a dataset of quadsim|was not written by quadsim"):
             generate(CONFIG, 2, DURATION, tmp_path / name, workers=1, overwrite=overwrite)
     assert len(files(tmp_path)) == 2
 
