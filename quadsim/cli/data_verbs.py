@@ -109,7 +109,7 @@ def export(
     emulated Loihi chip. The command runs the rounded network and the original one on the same input. The
     output folder contains the integers, C99 files, and a report on agreement, cores and energy.
 
-    Example: quadsim export att-snn --format c99 --out firmware/att_snn
+    Example: quadsim export att-snn --format c99 --out firmware
 
     Example: quadsim export data/train.zarr --format netcdf --out train.nc
 
