@@ -24,7 +24,7 @@ from training.models import quantise_constant, quantise_weights
 from .timing import in_turns, spent
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "support"))
-from plain_network import forward  # pyright: ignore[reportMissingImports]  (a folder of the tests)
+from plain_network import states  # pyright: ignore[reportMissingImports]  (a folder of the tests)
 
 BATCH, STEPS, HIDDEN = 40, 2000, 100
 FUSED, NORSE = "fused, quantised", "Norse cells, floats"
@@ -54,7 +54,7 @@ def fused(quantised: bool = True) -> Network:
 
 def plain() -> Network:
     weights = random_weights()
-    return lambda x: forward(x.float(), weights)[0]
+    return lambda x: torch.stack([each.v2 for each in states(x.float(), weights)], 1)
 
 
 def norse() -> Network:
