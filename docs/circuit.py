@@ -47,7 +47,7 @@ SETS = {
 }
 """New flights: recipe, what differs from it, and seed."""
 SCALE = (1.33, 1.21, 0.56, 1.23)
-"""Lengths of the untrained circuit's vectors, as `training.circuit.train.scaled` finds them."""
+"""Lengths of the untrained circuit's vectors, as `training.circuit.train.scale_vectors` finds them."""
 FLOATS, SPIKES = "trained, floats", "trained, spikes"
 """Columns of the trained circuit; the spikes ship."""
 GATE_INPUTS = "gate inputs"

@@ -124,7 +124,7 @@ def _favoured(blocks: Mapping[str, Array], force: Mapping[str, float]) -> tuple[
         if name == best or not is_larger(block, blocks[best]):
             chosen.append(name)
     if LEVEL in chosen:
-        return (), "a level guess has no larger force"
+        return (), "the force of a level guess is not significantly larger"
     if len(blocks) == 2:
         return (), "no other estimator ran"
     if len(chosen) == len(blocks) - 1:  # all but the guess

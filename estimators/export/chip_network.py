@@ -3,8 +3,8 @@
 A layer has one scale, the number of state units of 1.0. It is the largest scale at which weights, thresholds
 and biases fit, and at which sums, currents and potentials of a run in floats leave a margin of `MARGIN`.
 
-Inputs that are not spikes are encoded as in Att-SNN (`estimators.networks.forward.advance`): the host
-computes the currents of the first layer, which reach the neurons as biases.
+Inputs that are not spikes are encoded as in Att-SNN (`estimators.networks.forward.advance_encoders`): the
+host computes the currents of the first layer, which reach the neurons as biases.
 """
 
 from __future__ import annotations

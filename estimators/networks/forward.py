@@ -2,9 +2,9 @@
 
 A controller is the same network with 9 inputs (readings, then set-points) and 3 outputs.
 
-The step of all neurons is `estimators.loihi.neurons.step`. A quantised network runs in the integers of the
-chip; other networks run in floats. The host computes the current of the encoding layer from the input of the
-same step:
+The step of all neurons is `estimators.loihi.neurons.step_network`. A quantised network runs in the integers
+of the chip; other networks run in floats. The host computes the current of the encoding layer from the input
+of the same step:
 
     u[t] = D(u[t-1], τ_syn) + W x[t]
 

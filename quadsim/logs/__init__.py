@@ -112,7 +112,7 @@ def read_recording(
     except Exception as error:  # each library has errors of its own for a damaged file
         if isinstance(error, ValueError | OSError) and str(path) in str(error):
             raise
-        raise ValueError(f"{path}: cannot be read: {error or type(error).__name__}") from error
+        raise ValueError(f"{path}: cannot be read: {str(error) or type(error).__name__}") from error
     log = replace(log, path=str(path))
     return log if mount is None else mounted(log, mount_matrix(mount))
 

@@ -163,7 +163,7 @@ class LogReport:
         if n["gaps"]:
             yield f"{n['gaps']} gap{'s' if n['gaps'] > 1 else ''}, {longest}: left out of scores"
         if n["lost"]:
-            yield f"{n['lost']} single samples lost: interpolated"
+            yield f"{n['lost']} single sample{'s' if n['lost'] > 1 else ''} lost: interpolated"
         yield from (fault.sentence for fault in self.sensor_faults)
         if rate < CHECK.slow_hz:
             yield f"sampled at {rate:.0f} Hz: motion above {0.4 * rate:.0f} Hz is not in this log"

@@ -69,5 +69,6 @@ def progress_bar(title: str, unit: str) -> Iterator[Bar]:
             if bar.tasks[0].completed == 0:
                 bar.live.transient = True
                 bar.remove_task(task)
+                bar.console.quiet = not bar.console.is_terminal  # or it ends with an empty line
             raise
         bar.update(task, completed=bar.tasks[0].total, note="")

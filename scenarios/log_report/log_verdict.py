@@ -8,6 +8,7 @@ import numpy as np
 
 from estimators.evaluation.beliefs import Coverage
 from estimators.evaluation.logs import KNOWN, LEVEL, RAW, LogScores
+from estimators.evaluation.without_truth import LOW_PASS_S
 
 CLEAR = 0.8
 """An estimator whose error is above this share of a level guess's has shown little."""
@@ -158,10 +159,12 @@ def _compared(scores: LogScores, log: str) -> Iterator[str]:
         )
     low, high = min(found.force.values()), max(found.force.values())
     chosen = ", ".join(found.favoured) or f"no estimator: {found.undecided}"
+    flights = scores.logs[log].flights
+    seconds = min(LOW_PASS_S, flights.gyro.shape[1] / flights.rate_hz)
     yield (
-        f"{log}: rotated to the world and averaged over 10 s, the horizontal force is {low:.2f} m/s² "
-        f"to {high:.2f} m/s² (RMS), {found.level_force:.2f} m/s² for a level guess. It is near zero for a "
-        f"correct attitude, and for a level guess if the vehicle stays level. It favours {chosen}."
+        f"{log}: rotated to the world and averaged over {seconds:.3g} s, the horizontal force is {low:.2f} "
+        f"m/s² to {high:.2f} m/s² (RMS), {found.level_force:.2f} m/s² for a level guess. It is near zero for "
+        f"a correct attitude, and for a level guess if the vehicle stays level. It favours {chosen}."
     )
 
 

@@ -267,7 +267,7 @@ def test_a_force_as_small_as_that_of_a_level_guess_favours_nobody():
     gyro, accel = np.zeros((len(level), 3)), np.tile([0.0, 0.0, GRAVITY], (len(level), 1))
     found = compare({"right": level, "wrong": level + 0.2}, gyro, accel, 200.0, {})
     assert found.force["wrong"] > 1.0
-    assert (found.favoured, found.undecided) == ((), "a level guess has no larger force")
+    assert (found.favoured, found.undecided) == ((), "the force of a level guess is not significantly larger")
     tilted = np.tile([GRAVITY * np.sin(0.2), 0.0, GRAVITY * np.cos(0.2)], (len(level), 1))
     right = np.tile([0.0, -0.2], (len(level), 1))
     found = compare({"right": right, "wrong": -right}, gyro, tilted, 200.0, {})
