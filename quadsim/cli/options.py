@@ -36,8 +36,8 @@ ConditionFields = Annotated[
         help="Condition of the flights, as name=value. vehicle, imu, external (the sensor of position, "
         "velocity and yaw): a shipped name or a TOML file, in place of the scenario's. tuning: filter "
         "parameters, as a shipped name or a file from quadsim tune. engine: auto or mujoco. rate: samples "
-        "per second. flight (only for fly): number of the first flight, as in flights.parquet of bench. Repeat "
-        "the option to set several.",
+        "per second. flight (only for fly): number of the first flight, as in flights.parquet of bench. "
+        "Repeat the option to set several.",
     ),
 ]
 Mount = Annotated[
