@@ -67,11 +67,11 @@ Force = Annotated[
 ]
 Rerun = Annotated[
     Path | None,
-    typer.Option(help="Write the first flight, or the log, to this file (.rrd) for the viewer rerun."),
+    typer.Option(help="Write the first flight or log to this file (.rrd), for the viewer rerun."),
 ]
 Mcap = Annotated[
     Path | None,
-    typer.Option(help="Write the first flight, or the log, to this MCAP file (.mcap) for Foxglove."),
+    typer.Option(help="Write the first flight or log to this MCAP file (.mcap), for the viewer Foxglove."),
 ]
 Duration = Annotated[
     float | None, typer.Option(min=0.1, help="Length of each flight in seconds. Default: the scenario's.")
