@@ -110,6 +110,13 @@ def test_ten_seconds_after_a_bad_sample_or_a_gap_an_estimate_is_within_two_degre
     assert {fault: found[fault] for fault in faults} == dict.fromkeys(faults, pytest.approx(0, abs=2))
 
 
+@pytest.mark.slow
+@pytest.mark.xfail(strict=True, reason="2.2° in one of two flights; filters find it better")
+@pytest.mark.parametrize("name", CIRCUIT)
+def test_the_circuit_finds_its_attitude_within_ten_seconds_after_a_gap(clean, name):
+    assert away_after_faults(clean, name)[GAP] < 2
+
+
 @pytest.mark.parametrize("name", [*CLASSICAL, *CIRCUIT])
 def test_gaps_and_bad_samples_are_the_same_in_streaming_and_in_sequence(flights, name):
     gyro, accel, _ = (each.copy() for each in arrays(flights, 2, 300))
