@@ -198,3 +198,16 @@ def test_a_step_of_the_gyroscope_s_bias_is_found_sooner_than_without_its_detecti
     stepped = data.assign(gyro=(data.gyro.dims, gyro))
     late = slice(3000, 4000)
     assert errors_of(filter_of(), stepped, late) < 0.5 * errors_of(filter_of(step_gain=0.0), stepped, late)
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 10_000), rate=st.floats(0.0, 10.0), force=st.floats(0.0, 30.0))
+def test_covariance_stays_symmetric_and_positive(seed, rate, force):
+    rng = np.random.default_rng(seed)
+    gyro = rng.normal(0, rate, (1, 2000, 3))
+    accel = rng.normal([0.0, 0.0, GRAVITY], force, (1, 2000, 3))
+    est = filter_of()
+    assert np.isfinite(run(est, gyro, accel)).all()
+    P = est.state[0]["covariance"][:ERRORS, :ERRORS]
+    np.testing.assert_allclose(P, P.T, atol=1e-9 * np.abs(P).max())
+    assert np.linalg.eigvalsh(0.5 * (P + P.T)).min() > -1e-9 * np.abs(P).max()

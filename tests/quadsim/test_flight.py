@@ -16,9 +16,9 @@ from quadsim.flight.simulate import simulate_flights
 from quadsim.imu.spec import load_imu
 from quadsim.rotation import quat_conjugate, quat_from_euler, quat_multiply, roll_pitch_from_quat
 from quadsim.seeding import vehicle_seeds
-from quadsim.trajectory.specs import Hover
+from quadsim.trajectory.specs import Hover, Mix
 from quadsim.vehicle import GRAVITY, Randomisation, load_vehicle
-from quadsim.wind import Constant
+from quadsim.wind import Constant, Dryden
 
 HUMMINGBIRD = load_vehicle("hummingbird")
 HOVER = np.array([[0, 0, 2.0, 0, 0, 0, 0, 0, 0, 0, 0]])
@@ -238,3 +238,14 @@ def test_an_estimator_and_faults_that_change_arrays_in_place_change_nothing_but_
         np.testing.assert_array_equal(calm.readings.gyro, wild.readings.gyro)
         np.testing.assert_array_equal(calm.readings.accel, wild.readings.accel)
     assert wild.k.tolist() == [10, 10]
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 2**31), st.floats(0, 40), st.floats(1, 55))
+def test_no_seed_wind_or_set_point_records_a_number_that_is_not_finite(seed, gale, tilt):
+    storm = Dryden(airspeed=max(gale, 1.0), altitude=20.0, wind_20ft=gale)
+    rough = config(trajectory=Mix(max_tilt_deg=tilt), wind=(Constant(velocity=(gale, 0.0, 0.0)), storm))
+    flown = simulate_flights(rough, vehicle_seeds(seed, 2), 600)
+    for name, values in flown.items():
+        if name != "end_reason":
+            assert np.all(np.isfinite(values)), name

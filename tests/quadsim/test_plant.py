@@ -204,3 +204,22 @@ def test_no_command_or_wind_makes_a_state_that_is_not_finite(command, wind):
 def test_bad_input_is_named(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+@BATCHES
+def test_free_fall_reads_zero(n):
+    plant = Plant(VACUUM, n)
+    plant.reset(rotor_vel=0.0, ang_vel=(1.0, -2.0, 3.0))
+    for _ in range(100):
+        state = plant.step(np.zeros((n, 4)))
+        assert np.abs(state.specific_force).max() < 1e-12
+    assert state.velocity[:, 2] == pytest.approx(-GRAVITY * 0.5)
+
+
+@BATCHES
+def test_without_drag_the_accelerometer_cannot_see_40_degrees_of_tilt(n):
+    plant = Plant(VACUUM, n)
+    plant.reset(quat=quat_from_euler(np.radians(40), 0, 0))
+    for _ in range(100):
+        state = plant.step(hover(n, VACUUM))
+    assert state.specific_force == pytest.approx(np.tile([0, 0, GRAVITY], (n, 1)), abs=1e-9)

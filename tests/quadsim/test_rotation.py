@@ -165,3 +165,9 @@ def test_any_angles_make_a_unit_quaternion_and_survive(roll, pitch, yaw):
     assert np.isfinite(euler).all()
     assert_same_rotation(quat_from_euler(*euler), q, 3e-8)
     assert abs(euler[1]) <= np.pi / 2
+
+
+def test_each_euler_angle_turns_about_its_axis_the_right_way():
+    assert quat_rotate(quat_from_euler(0.1, 0, 0), [0, 1, 0])[2] > 0.0  # roll lifts the left side
+    assert quat_rotate(quat_from_euler(0, 0.1, 0), [1, 0, 0])[2] < 0.0  # pitch lowers the nose
+    assert quat_rotate(quat_from_euler(0, 0, 0.1), [1, 0, 0])[1] > 0.0  # yaw turns left
